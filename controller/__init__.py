@@ -1,0 +1,1 @@
+"""What runs every tick, in calling order: estimator, mpc, tracks, gains, loop."""

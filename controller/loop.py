@@ -1,0 +1,311 @@
+"""The receding-horizon loop: what runs every tick, for whatever link there is.
+
+    samples  = link.read()                       encoder history, stamped in system time
+    estimate = estimator.update(samples, now)    state at now, then at the commit knot
+    plan     = mpc.solve(estimate, reference)
+    link.write(tracks.encode(plan))              points past the margin, ending at rest
+
+A tick lies on a knot. At knot k with a margin of m knots the first free point is k + m + 2, and the
+plan begins at the commit knot k + m, whose state is predicted along what is already committed.
+"""
+
+from __future__ import annotations
+
+import enum
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.configs.schema import Config
+from headway.controller.estimator import Estimate, Estimator, Sample
+from headway.controller.mpc import Motion, Mpc, Solution
+from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.reference import Entry, Reference
+from headway.controller.tracks import Commitment, Encoder
+from headway.devices.axis import AxisUnits, position_limits, torque_limits
+from headway.devices.link import Link
+from headway.devices.remote import SINKS, Points, Remote
+from headway.firmware import _core
+from headway.models.machine import Machine
+
+Array = NDArray[np.float64]
+
+SETTLE_TICKS = 1000  # of synchronization before the first plan
+START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
+ENTRY_S = 0.4  # from rest onto the task's reference
+IDLE, HOLD = _core.STATES.index("IDLE"), _core.STATES.index("HOLD")
+
+
+class DeviceError(Exception):
+    """A device does not answer or does not do what it should."""
+
+
+class Phase(enum.IntEnum):
+    """Where the loop is."""
+
+    SYNC = 0  # stamps only, until every clock has settled
+    START = 1  # a plan that holds still is under way
+    RUN = 2
+
+
+@dataclass
+class Outbox:
+    """What a tick decided to send: nothing, stamps, or a plan."""
+
+    first_knot: int = 0
+    points: list[Points] | None = None
+    stamps: bool = True
+
+
+@dataclass
+class Tick:
+    """A tick's results, for the record. Times by the wall clock are only measured, never used."""
+
+    now_us: int
+    phase: Phase
+    samples: int = 0
+    now: Estimate | None = None
+    commit: Estimate | None = None
+    solution: Solution | None = None
+    accepted: bool = False
+    motion: Motion | None = None  # the encoded plan's roll-out
+    encoding_error: Array | None = None  # largest |encoded - planned torque| after 3 free knots
+    planned_torque: Array | None = None  # largest |torque| along the roll-out
+    states: list[int] = field(default_factory=list)
+    reference: Array | None = None  # at now
+    estimate_us: float = 0.0
+    encode_us: float = 0.0
+    total_us: float = 0.0
+
+
+class Loop:
+    """The controller of one machine. `read`, `tick` and `write` are the three steps of a tick."""
+
+    def __init__(
+        self, config: Config, machine: Machine, remotes: list[Remote], reference: Reference
+    ) -> None:
+        axes = config.machine.axes
+        if tuple(a.joint for a in axes) != machine.joints:
+            raise ValueError(
+                f"machine.axes name the joints {', '.join(a.joint for a in axes)}; "
+                f"the model has {', '.join(machine.joints)}: list all of them, in that order"
+            )
+        self._config, self._remotes, self._task = config, remotes, reference
+        self._reference = reference
+        self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
+        self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
+        self._limits = [
+            {
+                _core.TRACK_POSITION: position_limits(axis, units),
+                _core.TRACK_TORQUE: torque_limits(axis, units),
+            }
+            for axis, units in zip(axes, self._units, strict=True)
+        ]
+        law = ServoLaw.of(axes)
+        self._horizon = config.mpc.horizon_us // self._knot_us
+        self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
+        rad_per_count = np.array([u.rad_per_count for u in self._units])
+        self.estimator = Estimator(self._prediction, config.estimator, rad_per_count)
+        self._commitment = Commitment(remotes, self._units, config.loop)
+        self._encoder = Encoder(self._prediction, self._units, config.loop)
+        self._mpc = Mpc(config, self._prediction) if config.mpc.enabled else None
+        nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
+        self._node_us: NDArray[np.int64] = nodes.astype(np.int64)
+        self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
+        self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
+        self.samples: list[Sample] = []  # received, not yet estimated from
+        self._ticks = 0
+        self.phase = Phase.SYNC
+        self.start_us = 0  # task time zero
+
+    def read(self, link: Link, now_us: int) -> None:
+        """Takes in all that has arrived."""
+        for device, received_us, packet in link.receive(now_us):
+            status = self._remotes[device].receive(packet, received_us)
+            if status is None:
+                continue
+            scale = self._units[device].rad_per_count
+            for time_us, count in status.samples:
+                self.samples.append(Sample(time_us, device, count * scale))
+
+    def tick(self, now_us: int) -> tuple[Tick, Outbox]:
+        """Decides what to send. `now_us` lies on a knot."""
+        began = time.perf_counter()
+        knot = now_us // self._knot_us
+        tick = Tick(now_us, self.phase, len(self.samples))
+        tick.states = [r.status.state if r.status else 0 for r in self._remotes]
+        self._ticks += 1
+        if self.phase is Phase.SYNC:
+            outbox = self._synchronize(knot)
+        elif self.phase is Phase.START:
+            outbox = self._await_start(knot)
+        else:
+            outbox = self._run(tick, knot)
+        tick.total_us = (time.perf_counter() - began) * 1e6
+        return tick, outbox
+
+    def write(self, link: Link, outbox: Outbox, sent_us: int) -> None:
+        """Seals and sends what a tick decided."""
+        for device, remote in enumerate(self._remotes):
+            if outbox.points is not None:
+                packet = remote.plan_packet(outbox.first_knot, outbox.points[device], sent_us)
+            else:
+                packet = remote.sync_packet(sent_us)
+            link.send(device, packet, sent_us)
+
+    def _synchronize(self, knot: int) -> Outbox:
+        """Waits until every clock has settled, then plans to stand still where the machine is."""
+        settled = all(r.status and r.status.state == IDLE for r in self._remotes)
+        if self._ticks < SETTLE_TICKS or not settled:
+            self.samples = self.samples[-100 * len(self._remotes) :]
+            if self._ticks > 4 * SETTLE_TICKS:
+                raise DeviceError(f"no device answers within {4 * SETTLE_TICKS} ticks")
+            return Outbox()
+        position = self._standing_at()
+        torque = self._prediction.holding(position, np.zeros_like(position))
+        count = 6
+        self._start_plan = [
+            {
+                _core.TRACK_POSITION: units.position_points(np.full(count, position[axis])),
+                _core.TRACK_TORQUE: units.torque_points(np.full(count, torque[axis])),
+            }
+            for axis, units in enumerate(self._units)
+        ]
+        self._start_knot = knot + self._margin + START_KNOTS
+        self.samples.clear()
+        # The brakes let go at the start knot; until then the position is known and nothing moves.
+        self.start_us = self._start_knot * self._knot_us
+        self.estimator.reset(self.start_us, position)
+        self._reference = Entry(self._task, position, ENTRY_S)
+        still = np.zeros_like(position)
+        rest = Motion(*(np.tile(a, (self._horizon + 1, 1)) for a in (position, still, torque)))
+        self._last = (self._start_knot, rest)
+        self.phase = Phase.START
+        return Outbox(self._start_knot, self._start_plan)
+
+    def _standing_at(self) -> Array:
+        """Mean of the last samples of each axis."""
+        means = []
+        for axis in range(len(self._remotes)):
+            values = [s.position_rad for s in self.samples if s.axis == axis]
+            if not values:
+                raise DeviceError(f"{self._config.machine.axes[axis].joint}: no samples arrive")
+            means.append(np.mean(values[-50:]))
+        return np.array(means)
+
+    def _await_start(self, knot: int) -> Outbox:
+        self.samples.clear()
+        if knot + self._margin + 1 < self._start_knot + 2:
+            return Outbox(self._start_knot, self._start_plan)
+        for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
+            if remote.status is None or remote.status.plan_accepted == 0:
+                raise DeviceError(f"{axis.joint}: the device did not accept the first plan")
+        self.phase = Phase.RUN
+        return Outbox(self._start_knot, self._start_plan)
+
+    def _run(self, tick: Tick, knot: int) -> Outbox:
+        commit_knot = knot + self._margin
+        began = time.perf_counter()
+        tick.now, tick.commit = self._estimate(tick.now_us, knot)
+        tick.estimate_us = (time.perf_counter() - began) * 1e6
+        tick.reference = self._reference.at(np.array([(tick.now_us - self.start_us) * 1e-6]))[0][0]
+        self._check_devices(tick)
+        motion = self._plan(tick, commit_knot)
+        outbox = self._repeat(knot)
+        if motion is None:
+            return outbox
+        began = time.perf_counter()
+        points = self._encoder.encode(motion, self._remotes, commit_knot)
+        n = self._prediction.n
+        rolled = self._encoder.roll_out(points, tick.commit.state(n), tick.commit.z[2 * n :])
+        if self._passes(points, rolled, commit_knot):
+            self._last = (commit_knot, rolled)
+            tick.accepted, tick.motion = True, rolled
+            tick.encoding_error = np.abs(rolled.torque - motion.torque)[5:].max(axis=0)
+            tick.planned_torque = np.abs(rolled.torque).max(axis=0)
+            outbox = self._join(knot, commit_knot, points)
+        tick.encode_us = (time.perf_counter() - began) * 1e6
+        return outbox
+
+    def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
+        now = self.estimator.update(self.samples, now_us, self._commitment)
+        self.samples.clear()
+        knots = [(knot + i) * self._knot_us for i in range(1, self._margin + 1)]
+        return now, self.estimator.predict(now, knots, self._commitment)
+
+    def _check_devices(self, tick: Tick) -> None:
+        for axis, state in zip(self._config.machine.axes, tick.states, strict=True):
+            if state == HOLD:
+                raise DeviceError(f"{axis.joint}: the device came to rest and holds (link lost?)")
+
+    def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
+        commit_us = commit_knot * self._knot_us - self.start_us
+        assert tick.commit is not None
+        if self._mpc is None:
+            return self._feedforward((commit_us + self._knots_us) * 1e-6)
+        position, velocity, _ = self._reference.at((commit_us + self._node_us) * 1e-6)
+        tracks = self._commitment.at(np.array([commit_knot * self._knot_us]))
+        n = self._prediction.n
+        torque = self._prediction.law.torque(tick.commit.state(n)[None], tracks)[0]
+        guess = self._guess(commit_knot)
+        tick.solution = self._mpc.solve(guess, tick.commit, np.hstack((position, velocity)), torque)
+        return tick.solution.motion
+
+    def _guess(self, commit_knot: int) -> Motion:
+        """The last roll-out from the new commit knot on, extended at rest."""
+        assert self._last is not None
+        knot, motion = self._last
+        index = np.minimum(np.arange(self._horizon + 1) + commit_knot - knot, self._horizon)
+        return Motion(motion.position[index], motion.velocity[index], motion.torque[index])
+
+    def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
+        """The same gate as on the device, and the roll-out within the motors' torque."""
+        if self._mpc is not None:
+            limit = self._prediction.law.limit
+            if not np.all(np.isfinite(rolled.torque)) or np.any(np.abs(rolled.torque) > limit):
+                return False
+        first = commit_knot - 1
+        for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
+            for sink in SINKS:
+                result = _core.gate_check_track(
+                    limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
+                )
+                if result != "accepted":
+                    return False
+        return True
+
+    def _repeat(self, knot: int) -> Outbox:
+        """The committed plan's points that have not begun, unchanged."""
+        first = knot + _core.LIVE_KNOTS
+        ends = [r.track(_core.TRACK_POSITION).end for r in self._remotes]
+        count = max(3, min(max(ends) - first + 1, _core.PLAN_POINTS_MAX))
+        points = [{s: r.track(s).points(first, count) for s in SINKS} for r in self._remotes]
+        return Outbox(first, points)
+
+    def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
+        """Committed points that have not begun, then the new ones."""
+        first = knot + _core.LIVE_KNOTS
+        joined = []
+        for remote, plan in zip(self._remotes, points, strict=True):
+            joined.append({})
+            for sink in SINKS:
+                before = remote.track(sink).points(first, max(0, commit_knot + 2 - first))
+                joined[-1][sink] = np.concatenate((before, plan[sink][3:]))
+        return Outbox(first, joined)
+
+    def _feedforward(self, time_s: Array) -> Motion:
+        """The reference itself, brought to rest along its own path by slowing its time."""
+        end = time_s[-1] - time_s[0]
+        stop = 0.5 * end  # as long as the second half of the horizon
+        s = np.clip((time_s - time_s[0] - (end - stop)) / stop, 0, None)
+        warped = time_s + stop * (s**4 / 2 - s**3)
+        speed, slowing = 1 - 3 * s**2 + 2 * s**3, 6 * (s**2 - s) / stop
+        q, v, a = self._reference.at(warped)
+        velocity = v * speed[:, None]
+        acceleration = a * speed[:, None] ** 2 + v * slowing[:, None]
+        torque = np.zeros_like(q)
+        if self._config.mpc.feedforward == "model":
+            torque = self._prediction.inverse_dynamics(q, velocity, acceleration)
+        return Motion(q, velocity, torque)

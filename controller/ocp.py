@@ -1,0 +1,213 @@
+"""The optimal control problem of one tick as a quadratic program for OSQP.
+
+Real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005): the dynamics are
+linearized along the trajectory that the last tick's encoded tracks give, and one QP is solved in the
+deviations from it. Variables: states x_0..x_N (2n each), motor torques u_0..u_N at the nodes (n
+each; linear in between), one slack per axis for the soft position limits.
+
+    minimize    sum w_i |x_i - ref_i|^2_Q + |u_{i+1} - u_i|^2_S + |u_0 - committed|^2_R
+                + |u_N - holding|^2_R + soft |s|^2
+    subject to  x_0 = estimate at the commit knot
+                x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
+                v_N = 0                                  rest at the end
+                |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit, soft_min - s <= q <= soft_max + s
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from headway.configs.schema import Config
+
+Array = NDArray[np.float64]
+
+TORQUE_SHARE = 0.95  # of the torque limit is planned: the rest is for the encoding and the PD
+HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
+UNBOUNDED = 1e20
+FADE_START = 0.55  # share of the horizon after which tracking gives way to stopping
+
+
+@dataclass(frozen=True)
+class Limits:
+    """By axis; SI."""
+
+    torque: Array
+    velocity: Array
+    acceleration: Array
+    soft_min: Array
+    soft_max: Array
+
+    @classmethod
+    def of(cls, config: Config) -> Limits:
+        """The plan's limits: shares of the device's, and the soft position limits."""
+        axes, mpc = config.machine.axes, config.mpc
+        room = 2e-3  # to the device's hard limits, where no soft ones are given [rad]
+        low = mpc.soft_min_rad or [a.position_min_rad + room for a in axes]
+        high = mpc.soft_max_rad or [a.position_max_rad - room for a in axes]
+        return cls(
+            TORQUE_SHARE * np.array([a.torque_limit_Nm for a in axes]),
+            HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),
+            HULL_SHARE * np.array([a.acceleration_limit_rad_per_s2 for a in axes]),
+            np.array(low),
+            np.array(high),
+        )
+
+
+class Ocp:
+    """The QP's matrices, whose sparsity never changes, and its vectors, tick by tick."""
+
+    def __init__(self, config: Config, limits: Limits) -> None:
+        mpc = config.mpc
+        n = self.n = len(config.machine.axes)
+        count = self.intervals = mpc.intervals
+        self.limits = limits
+        self.interval_s = mpc.horizon_us * 1e-6 / count
+        self.states = slice(0, (count + 1) * 2 * n)
+        self.torques = slice(self.states.stop, self.states.stop + (count + 1) * n)
+        self.slacks = slice(self.torques.stop, self.torques.stop + n)
+        self.size = self.slacks.stop
+        share = np.linspace(0, 1, count + 1)
+        self._weight = np.clip((1 - share) / (1 - FADE_START), 0, 1) ** 2
+        self._state_weight = np.repeat([mpc.position_weight, mpc.velocity_weight], n)
+        self._start_weight = mpc.torque_start_weight
+        self.hessian = self._build_hessian(mpc.torque_step_weight, mpc.soft_weight)
+        self._build_constraints()
+
+    def _build_hessian(self, step_weight: float, soft_weight: float) -> sp.csc_matrix:
+        states = np.outer(self._weight, self._state_weight).ravel() + 1e-3
+        difference = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(self.intervals, self.intervals + 1))
+        ends = np.zeros(self.intervals + 1)
+        ends[[0, -1]] = self._start_weight
+        node = step_weight * (difference.T @ difference) + sp.diags_array(ends + 1e-6)
+        torques = sp.kron(node, sp.eye_array(self.n))
+        self._torque_hessian = sp.csr_matrix(2 * torques)
+        slacks = sp.diags_array(np.full(self.n, soft_weight))
+        blocks = sp.block_diag([sp.diags_array(states), torques, slacks])
+        return sp.csc_matrix(sp.triu(2 * blocks))
+
+    def _build_constraints(self) -> None:
+        """One COO entry list; entries of the dynamics are remembered to be overwritten."""
+        n, count = self.n, self.intervals
+        rows: list[Array] = []
+        columns: list[Array] = []
+        values: list[Array] = []
+
+        def put(row: int, column: int, block: Array) -> None:
+            r, c = np.indices(block.shape)
+            rows.append((r + row).ravel())
+            columns.append((c + column).ravel())
+            values.append(block.ravel())
+
+        def state(i: int) -> int:
+            return 2 * n * i
+
+        def torque(i: int) -> int:
+            return self.torques.start + n * i
+
+        put(0, 0, np.eye(2 * n))
+        row = 2 * n
+        for i in range(count):  # linearized below, in `update`
+            put(row, state(i), np.full((2 * n, 2 * n), np.nan))
+            put(row, torque(i), np.full((2 * n, n), np.nan))
+            put(row, torque(i + 1), np.full((2 * n, n), np.nan))
+            put(row, state(i + 1), np.eye(2 * n))
+            row += 2 * n
+        put(row, state(count) + n, np.eye(n))
+        self.equalities = row + n
+        row = self._torque_row = self.equalities
+        put(row, self.torques.start, np.eye((count + 1) * n))
+        row = self._velocity_row = row + (count + 1) * n
+        for i in range(1, count + 1):
+            put(row, state(i) + n, np.eye(n))
+            row += n
+        self._acceleration_row = row
+        for i in range(count):
+            put(row, state(i) + n, -np.eye(n))
+            put(row, state(i + 1) + n, np.eye(n))
+            row += n
+        self._soft_row = row
+        for sign in (1.0, -1.0):  # q - s <= max, -q - s <= -min
+            for i in range(1, count + 1):
+                put(row, state(i), sign * np.eye(n))
+                put(row, self.slacks.start, -np.eye(n))
+                row += n
+        self.rows = row
+        entries = np.concatenate(values)
+        order = sp.csc_matrix(
+            (np.arange(1, len(entries) + 1), (np.concatenate(rows), np.concatenate(columns))),
+            shape=(row, self.size),
+        )
+        place = np.empty(len(entries), dtype=np.int64)  # entry -> position in the CSC data
+        place[order.data - 1] = np.arange(len(entries))
+        data = np.empty(len(entries))
+        data[place] = entries
+        self._dynamics_place = place[np.isnan(entries)].reshape(count, -1)
+        data[np.isnan(data)] = 0.0
+        self.constraints = sp.csc_matrix((data, order.indices, order.indptr), shape=order.shape)
+        self.lower = np.full(row, -UNBOUNDED)
+        self.upper = np.full(row, UNBOUNDED)
+        self.gradient = np.zeros(self.size)
+
+    def update(
+        self,
+        x: Array,
+        u: Array,
+        linearized: list[Array],
+        start: Array,
+        reference: Array,
+        committed: Array,
+        holding: Array,
+    ) -> None:
+        """Fills matrices and vectors around a guess.
+
+        x: (N+1, 2n) and u: (N+1, n), the guess; linearized: [F, A, B0, B1] of `linearize`;
+        start: (2n,), the state at the commit knot; reference: (N+1, 2n); committed and holding:
+        (n,), the torques that the plan should begin and end with.
+        """
+        n, count = self.n, self.intervals
+        after, a, b0, b1 = linearized
+        blocks = [  # side by side as the compiled function gives them, one row an interval here
+            -part.reshape(2 * n, count, -1).transpose(1, 0, 2).reshape(count, -1)
+            for part in (a, b0, b1)
+        ]
+        self.constraints.data[self._dynamics_place] = np.concatenate(blocks, axis=1)
+
+        low, high, limits = self.lower, self.upper, self.limits
+        low[: 2 * n] = start - x[0]
+        defects = slice(2 * n, 2 * n * (count + 1))
+        low[defects] = (after.T - x[1:]).ravel()
+        low[defects.stop : self.equalities] = -x[-1, n:]
+        high[: self.equalities] = low[: self.equalities]
+        _bound(low, high, self._torque_row, u, limits.torque)
+        _bound(low, high, self._velocity_row, x[1:, n:], limits.velocity)
+        change = limits.acceleration * self.interval_s
+        _bound(low, high, self._acceleration_row, np.diff(x[:, n:], axis=0), change)
+        half = count * n
+        soft = high[self._soft_row :]
+        soft[:half] = (limits.soft_max - x[1:, :n]).ravel()
+        soft[half:] = (x[1:, :n] - limits.soft_min).ravel()
+
+        error = (x - reference) * self._state_weight * self._weight[:, None]
+        self.gradient[self.states] = 2 * error.ravel()
+        pull = self._torque_hessian @ u.ravel()
+        pull[:n] -= 2 * self._start_weight * committed
+        pull[-n:] -= 2 * self._start_weight * holding
+        self.gradient[self.torques] = pull
+
+    def residual(self, z: Array) -> float:
+        """Largest violation of any constraint but the soft ones, in rad, rad/s and Nm."""
+        value = self.constraints @ z
+        hard = slice(0, self._soft_row)
+        below, above = self.lower[hard] - value[hard], value[hard] - self.upper[hard]
+        return float(max(below.max(), above.max()))
+
+
+def _bound(low: Array, high: Array, row: int, guess: Array, limit: Array) -> None:
+    """|guess + deviation| <= limit, as rows from `row` on."""
+    rows = slice(row, row + guess.size)
+    low[rows] = (-limit - guess).ravel()
+    high[rows] = (limit - guess).ravel()

@@ -1,0 +1,64 @@
+"""What the machine should do: positions, velocities and accelerations over the task's time."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.configs.schema import Task
+
+Array = NDArray[np.float64]
+
+
+class Reference(Protocol):
+    """A motion to follow."""
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        """Position [rad], velocity, acceleration at times (m,) of the task: each (m, axes)."""
+
+
+class Sines:
+    """offset + amplitude sin(2 pi harmonic f t + phase) on each axis."""
+
+    def __init__(self, task: Task) -> None:
+        self._offset = np.array([a.offset_rad for a in task.axes])
+        self._amplitude = np.array([a.amplitude_rad for a in task.axes])
+        self._phase = np.array([a.phase_rad for a in task.axes])
+        harmonic = np.array([a.harmonic for a in task.axes])
+        self._rate = 2 * np.pi * task.frequency_Hz * harmonic
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        angle = np.outer(time_s, self._rate) + self._phase
+        sine, cosine = np.sin(angle), np.cos(angle)
+        position = self._offset + self._amplitude * sine
+        velocity = self._amplitude * self._rate * cosine
+        return position, velocity, -self._amplitude * self._rate**2 * sine
+
+
+class Entry:
+    """A reference entered from rest: the difference to where the machine stands, at rest, fades
+    out as the quintic that matches position, velocity and acceleration at both ends."""
+
+    def __init__(self, reference: Reference, start_rad: Array, duration_s: float) -> None:
+        self._reference, self._duration_s = reference, duration_s
+        q, v, a = (value[0] for value in reference.at(np.zeros(1)))
+        h = duration_s
+        offset, slope, curve = start_rad - q, -v * h, -a * h**2 / 2
+        # p(0..2) given, p(1) = p'(1) = p''(1) = 0
+        cubic = -10 * offset - 6 * slope - 3 * curve
+        quartic = 15 * offset + 8 * slope + 3 * curve
+        quintic = -6 * offset - 3 * slope - curve
+        self._coefficients = np.stack([offset, slope, curve, cubic, quartic, quintic])
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        q, v, a = self._reference.at(time_s)
+        s = np.clip(time_s / self._duration_s, 0, 1)[:, None]
+        p = np.polynomial.polynomial.Polynomial
+        for axis, c in enumerate(self._coefficients.T):
+            fade = p(c)
+            q[:, axis] += fade(s[:, 0])
+            v[:, axis] += fade.deriv()(s[:, 0]) / self._duration_s
+            a[:, axis] += fade.deriv(2)(s[:, 0]) / self._duration_s**2
+        return q, v, a

@@ -1,0 +1,166 @@
+"""From a planned motion to the control points that the devices are sent.
+
+The position track r continues the committed points and closes in on the plan q*: least squares with
+a penalty on the curvature of the difference, never interpolation (its recursion from the committed
+points diverges). The torque track is f = tau* - Kp (r - q*) - (Kd + c)(r' - q*'), so that f and the
+servo's own feedback sum to the planned torque with feedback around the plan. Both end in three equal
+points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical Guide to
+Splines, chapter IX.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.configs.schema import Loop
+from headway.controller.mpc import Motion
+from headway.controller.prediction import Prediction
+from headway.devices.axis import AxisUnits
+from headway.devices.remote import Points, Remote
+from headway.firmware import _core
+
+Array = NDArray[np.float64]
+
+POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: r closes in on q* over about 3 knots
+TORQUE_CURVATURE_WEIGHT = 0.05
+
+VALUE = np.array([1.0, 4.0, 1.0]) / 6  # of c[k-1], c[k], c[k+1] at knot k
+SLOPE = np.array([-0.5, 0.0, 0.5])  # per knot interval
+MIDDLE = np.array([1.0, 23.0, 23.0, 1.0]) / 48  # of c[k-1] .. c[k+2] half-way through [k, k+1)
+MIDDLE_SLOPE = np.array([-1.0, -5.0, 5.0, 1.0]) / 8
+
+
+def at_knots(points: Array, weights: Array) -> Array:
+    """Sum of weights * points[k ..] for each k: (m + len - 1, n) to (m, n)."""
+    m = len(points) - len(weights) + 1
+    return sum(w * points[i : i + m] for i, w in enumerate(weights))  # type: ignore[return-value]
+
+
+class Fit:
+    """Control points c[-1 .. K+1] over knots 0 .. K: the first three are committed, the last three
+    equal the final value; those between fit samples at the knots in the least-squares sense.
+
+    A linear map of (samples, committed), computed once.
+    """
+
+    def __init__(self, knots: int, curvature_weight: float) -> None:
+        size = knots + 3  # c[-1] .. c[K+1], stored from index 0
+        value, curve = np.zeros((knots + 1, size)), np.zeros((knots + 1, size))
+        for k in range(knots + 1):
+            value[k, k : k + 3] = VALUE
+            curve[k, k : k + 3] = 1, -2, 1
+        # Curvature of the samples as a spline through them would have it, to second order.
+        sampled = np.zeros((knots + 1, knots + 1))
+        for k in range(1, knots):
+            sampled[k, k - 1 : k + 2] = 1, -2, 1
+        sampled[0], sampled[knots] = sampled[1], sampled[knots - 1]
+        sampled -= sampled @ sampled / 6
+        weight = np.sqrt(curvature_weight)
+        left = np.vstack((value, weight * curve))
+        right = np.vstack((np.eye(knots + 1), weight * sampled))
+        last = np.zeros((size, knots + 1))
+        last[-3:, -1] = 1  # c[K-1] = c[K] = c[K+1] = the last sample
+        first = np.zeros((size, 3))
+        first[:3] = np.eye(3)
+        free = slice(3, size - 3)
+        solve = np.linalg.pinv(left[:, free])
+        self._samples, self._committed = last, first
+        self._samples[free] = solve @ (right - left @ last)
+        self._committed[free] = -solve @ left @ first
+
+    def __call__(self, samples: Array, committed: Array) -> Array:
+        """(K+1, n) samples and (3, n) committed points to (K+3, n) points."""
+        points = self._samples @ samples + self._committed @ committed
+        points[:3] = committed
+        points[-3:] = samples[-1]
+        return points
+
+
+class Encoder:
+    """Encodes a motion and rolls the servos' model through what was encoded."""
+
+    def __init__(self, prediction: Prediction, units: list[AxisUnits], loop: Loop) -> None:
+        self._prediction, self._n = prediction, prediction.n
+        self._units, self._h = units, loop.knot_us * 1e-6
+        self._scale = {
+            _core.TRACK_POSITION: np.array([u.pq_per_rad for u in units]),
+            _core.TRACK_TORQUE: np.array([u.tq_per_Nm for u in units]),
+        }
+        self._position = Fit(prediction.horizon_knots, POSITION_CURVATURE_WEIGHT)
+        self._torque = Fit(prediction.horizon_knots, TORQUE_CURVATURE_WEIGHT)
+
+    def committed(self, remotes: list[Remote], sink: int, knot: int, count: int) -> Array:
+        """Points knot .. knot + count - 1 of one sink on all axes, in SI: (count, n)."""
+        points = [remote.track(sink).points(knot, count) for remote in remotes]
+        return np.stack(points, axis=1) / self._scale[sink]
+
+    def encode(self, motion: Motion, remotes: list[Remote], knot: int) -> list[Points]:
+        """Control points from knot - 1 on, by axis, of a motion that begins at knot `knot`.
+
+        The first three points of each track are the committed ones.
+        """
+        law = self._prediction.law
+        r = self._position(
+            motion.position, self.committed(remotes, _core.TRACK_POSITION, knot - 1, 3)
+        )
+        r = self._quantize(r, _core.TRACK_POSITION)
+        value, rate = at_knots(r, VALUE), at_knots(r, SLOPE) / self._h
+        f = (
+            motion.torque
+            - law.kp * (value - motion.position)
+            - (law.kd + law.emf) * (rate - motion.velocity)
+        )
+        f = np.clip(f, -law.limit, law.limit)
+        f = self._torque(f, self.committed(remotes, _core.TRACK_TORQUE, knot - 1, 3))
+        f = np.clip(self._quantize(f, _core.TRACK_TORQUE), -law.limit, law.limit)
+        return [
+            {
+                _core.TRACK_POSITION: units.position_points(r[:, axis]),
+                _core.TRACK_TORQUE: units.torque_points(f[:, axis]),
+            }
+            for axis, units in enumerate(self._units)
+        ]
+
+    def _quantize(self, points: Array, sink: int) -> Array:
+        return np.rint(points * self._scale[sink]) / self._scale[sink]
+
+    def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
+        """The motion that the servos make of encoded points, from state `start` (2n,)."""
+        n, h = self._n, self._h
+        r = np.stack([p[_core.TRACK_POSITION] for p in points], axis=1)
+        f = np.stack([p[_core.TRACK_TORQUE] for p in points], axis=1)
+        r, f = r / self._scale[_core.TRACK_POSITION], f / self._scale[_core.TRACK_TORQUE]
+        knots = np.hstack((at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE)))
+        middles = np.hstack((at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE)))
+        call = self._prediction.rollout
+        call.inputs[0][:, 0] = start
+        call.inputs[1][...] = disturbance[:, None]
+        call.inputs[2][...] = knots[:-1].T
+        call.inputs[3][...] = middles.T
+        call.inputs[4][...] = knots[1:].T
+        call.inputs[5][...] = h
+        states = np.vstack((start, call.run()[0].T))
+        return Motion(states[:, :n], states[:, n:], self._prediction.law.torque(states, knots))
+
+
+class Commitment:
+    """What the devices execute, as far as the host knows, as a function of system time."""
+
+    def __init__(self, remotes: list[Remote], units: list[AxisUnits], loop: Loop) -> None:
+        self._remotes, self._shift = remotes, loop.knot_shift
+        self._position = 1 / np.array([u.pq_per_rad for u in units])
+        self._speed = self._position / (loop.knot_us * 1e-6)
+        self._torque = 1 / np.array([u.tq_per_Nm for u in units])
+
+    def at(self, times_us: NDArray[np.int64]) -> Array:
+        """[r, r', f] at system times (m,): (m, 3n) in rad, rad/s, Nm."""
+        n = len(self._remotes)
+        values = np.empty((len(times_us), 3 * n))
+        for axis, remote in enumerate(self._remotes):
+            position = remote.track(_core.TRACK_POSITION).evaluate(times_us, self._shift)
+            torque = remote.track(_core.TRACK_TORQUE).evaluate(times_us, self._shift)
+            values[:, axis] = position[0] * self._position[axis]
+            values[:, n + axis] = position[1] * self._speed[axis]
+            values[:, 2 * n + axis] = torque[0] * self._torque[axis]
+        return values

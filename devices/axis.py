@@ -1,0 +1,111 @@
+"""An axis' quanta: from SI at the joint to the device's integers, and the device's settings.
+
+Positions are in 1/1024 of an encoder count (pq). A torque quantum (tq) is the largest power of ten
+of newton metres that leaves the limit at least 2^20 quanta, so 1 uNm up to 33 Nm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.configs.schema import Axis, Device, Loop
+from headway.firmware import _core
+
+
+@dataclass(frozen=True)
+class AxisUnits:
+    """Quanta of one axis; arrays in, arrays out."""
+
+    pq_per_rad: float
+    tq_per_Nm: float
+    knot_s: float
+
+    @classmethod
+    def of(cls, axis: Axis, loop: Loop) -> AxisUnits:
+        """Quanta for an axis of the config."""
+        tq_per_Nm = 1e6
+        while axis.torque_limit_Nm * tq_per_Nm > _core.TORQUE_MAX:
+            tq_per_Nm /= 10
+        pq_per_rad = axis.counts_per_turn / (2 * math.pi) * (1 << _core.COUNT_BITS)
+        return cls(pq_per_rad, tq_per_Nm, loop.knot_us * 1e-6)
+
+    @property
+    def rad_per_count(self) -> float:
+        """One encoder count."""
+        return (1 << _core.COUNT_BITS) / self.pq_per_rad
+
+    def position_points(self, position_rad: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Control points in pq, rounded."""
+        return np.rint(position_rad * self.pq_per_rad).astype(np.int32)
+
+    def torque_points(self, torque_Nm: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Control points in tq, rounded."""
+        return np.rint(torque_Nm * self.tq_per_Nm).astype(np.int32)
+
+
+def scale_of(factor: float) -> _core.Scale:
+    """The nearest mantissa / 2^shift with 16 bits of mantissa.
+
+    Raises ValueError for a factor that no scale can hold.
+    """
+    if factor == 0:
+        return _core.Scale(0, 0)
+    shift = min(31, 15 - math.floor(math.log2(factor)))
+    mantissa = round(factor * 2.0**shift)
+    if mantissa > 65535:
+        mantissa, shift = round(factor * 2.0 ** (shift - 1)), shift - 1
+    if factor < 0 or shift < 0 or mantissa == 0:
+        raise ValueError(f"the factor {factor:g} is outside a fixed-point scale's range")
+    return _core.Scale(mantissa, shift)
+
+
+def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSettings:
+    """What a board is flashed with, but for its key and session.
+
+    Raises ValueError if a limit or a gain does not fit the device's integers.
+    """
+    units = AxisUnits.of(axis, loop)
+    period_s = device.servo_period_us * 1e-6
+    tq_per_pq = units.tq_per_Nm / units.pq_per_rad
+    motor, gains = axis.motor, axis.servo
+    constant = motor.gear * motor.torque_constant_Nm_per_A
+    servo = _core.ServoSettings()
+    servo.kp_tq = scale_of(gains.kp_Nm_per_rad * tq_per_pq)
+    integral = gains.ki_Nm_per_rad_s * period_s * tq_per_pq * (1 << _core.INTEGRAL_BITS)
+    servo.ki_tq = scale_of(integral)
+    servo.kd_tq = scale_of(gains.kd_Nm_s_per_rad / period_s * tq_per_pq)
+    servo.velocity_tq = scale_of(0.0)
+    servo.resistance_mV = scale_of(1e3 * motor.resistance_ohm / constant / units.tq_per_Nm)
+    servo.emf_mV = scale_of(1e3 * constant / (units.pq_per_rad * units.knot_s))
+    servo.supply_duty = scale_of(32768 / (1e3 * motor.supply_V))
+    servo.torque_limit_tq = round(axis.torque_limit_Nm * units.tq_per_Nm)
+    servo.integrate_running = device.integrate_while_running
+
+    settings = _core.DeviceSettings()
+    settings.knot_shift = loop.knot_shift
+    settings.servo_period_us = device.servo_period_us
+    settings.sample_every = device.sample_every
+    settings.servo = servo
+    settings.set_limits(_core.TRACK_POSITION, position_limits(axis, units))
+    settings.set_limits(_core.TRACK_TORQUE, torque_limits(axis, units))
+    return settings
+
+
+def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
+    """The gate's limits on position control points."""
+    low = math.ceil(axis.position_min_rad * units.pq_per_rad)
+    high = math.floor(axis.position_max_rad * units.pq_per_rad)
+    speed = axis.velocity_limit_rad_per_s * units.pq_per_rad * units.knot_s
+    acceleration = axis.acceleration_limit_rad_per_s2 * units.pq_per_rad * units.knot_s**2
+    return _core.GateLimits(low, high, math.floor(speed), math.floor(acceleration))
+
+
+def torque_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
+    """The gate's limits on torque control points; their differences are bounded by the range."""
+    limit = math.floor(axis.torque_limit_Nm * units.tq_per_Nm)
+    step = min(2 * limit, _core.DIFFERENCE_MAX)
+    return _core.GateLimits(-limit, limit, step, 2 * step)

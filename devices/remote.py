@@ -1,0 +1,96 @@
+"""A device as the host knows it: its session, its last status and the tracks it holds.
+
+The host cannot see what arrived; it is told. Plans that the device has acknowledged are in `held`;
+plans still under way are presumed to arrive, and each status settles those it has an answer for. A
+plan that was lost or refused is dropped, and the device is then planned as what it is: continuing
+the last plan it accepted.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.firmware import _core
+
+SINKS = (_core.TRACK_POSITION, _core.TRACK_TORQUE)
+Points = dict[int, NDArray[np.int32]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points of every track from one knot on, as sent."""
+
+    number: int
+    first_knot: int
+    points: Points
+
+
+class Remote:
+    """One device at the far end of a link."""
+
+    def __init__(self, key: bytes, session: int) -> None:
+        self._session = _core.Session(key, session)
+        self._held = {sink: _core.Track() for sink in SINKS}
+        self._presumed: dict[int, _core.Track] = {}
+        self._pending: list[Plan] = []
+        # Send and receive times of statuses, each echoed once and in order: to echo only the
+        # newest would drop the slow ones and bias the devices' clocks.
+        self._echoes: deque[tuple[int, int]] = deque(maxlen=8)
+        self.number = 0
+        self.status: _core.Status | None = None
+        self.frames_bad = 0
+
+    def receive(self, packet: bytes, received_us: int) -> _core.Status | None:
+        """Opens a packet; returns the status, or None for what is not one (counted)."""
+        opened = self._session.open(packet)
+        status = None
+        if isinstance(opened, tuple) and opened[0] == _core.FRAME_STATUS:
+            status = _core.status_decode(opened[1])
+        if status is None:
+            self.frames_bad += 1
+            return None
+        self.status = status
+        self._echoes.append((status.sent_us, received_us))
+        self._settle(status)
+        return status
+
+    def _settle(self, status: _core.Status) -> None:
+        while self._pending and self._pending[0].number <= status.plan_seen:
+            plan = self._pending.pop(0)
+            behind = status.plan_seen - plan.number
+            if behind < 32 and status.accepted_mask >> behind & 1:
+                for sink, points in plan.points.items():
+                    self._held[sink].write(plan.first_knot, points)
+        self._presumed = {}
+
+    def track(self, sink: int) -> _core.Track:
+        """The track as it will be once what is under way has arrived."""
+        if sink not in self._presumed:
+            track = self._held[sink].copy()
+            for plan in self._pending:
+                track.write(plan.first_knot, plan.points[sink])
+            self._presumed[sink] = track
+        return self._presumed[sink]
+
+    def _stamps(self, sent_us: int) -> tuple[int, int, int]:
+        echo = self._echoes.popleft() if self._echoes else (0, 0)  # (0, 0): no sample
+        return (*echo, sent_us)
+
+    def plan_packet(self, first_knot: int, points: Points, sent_us: int) -> bytes:
+        """Seals a plan and remembers it as under way."""
+        self.number += 1
+        plan = Plan(self.number, first_knot, points)
+        payload = _core.plan_encode(self._stamps(sent_us), self.number, first_knot, points)
+        self._pending.append(plan)
+        for sink, track in self._presumed.items():
+            track.write(first_knot, points[sink])
+        return self._session.seal(_core.FRAME_PLAN, payload)
+
+    def sync_packet(self, sent_us: int) -> bytes:
+        """Seals stamps alone."""
+        payload = _core.sync_encode(self._stamps(sent_us))
+        return self._session.seal(_core.FRAME_SYNC, payload)

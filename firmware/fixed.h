@@ -1,0 +1,42 @@
+// Fixed-point arithmetic for a core with a 32-bit multiplier and no divider (Cortex-M0+).
+//
+// Right shifts of negative numbers are arithmetic on every compiler we build with (gcc, clang).
+#ifndef HEADWAY_FIXED_H
+#define HEADWAY_FIXED_H
+
+#include <stdint.h>
+
+// A positive factor: value = mantissa / 2^shift, shift 0..31. Sixteen bits of mantissa keep a
+// product at two 32-bit multiplications.
+struct scale {
+    uint16_t mantissa;
+    uint8_t shift;
+};
+
+static inline int32_t fixed_clamp(int32_t value, int32_t limit) {
+    return value > limit ? limit : value < -limit ? -limit : value;
+}
+
+// a * b / 2^16, rounded down; exact in 48 bits, never overflows.
+static inline int32_t fixed_mul_q16(int32_t a, uint16_t b) {
+    int32_t high = (a >> 16) * (int32_t)b;
+    uint32_t low = ((uint32_t)a & 0xffffu) * b;
+    return high + (int32_t)(low >> 16);
+}
+
+// a * scale, rounded down, saturating.
+static inline int32_t fixed_scale(int32_t a, struct scale scale) {
+    int32_t high = (a >> 16) * (int32_t)scale.mantissa;
+    uint32_t low = ((uint32_t)a & 0xffffu) * scale.mantissa;
+    if (scale.shift >= 16)
+        return (high + (int32_t)(low >> 16)) >> (scale.shift - 16);
+    int32_t whole = high + (int32_t)(low >> 16); // the 48-bit product without its last 16 bits
+    int32_t limit = INT32_MAX >> (16 - scale.shift);
+    if (whole > limit - 1)
+        return INT32_MAX;
+    if (whole < -limit)
+        return -INT32_MAX;
+    return whole * (1 << (16 - scale.shift)) + (int32_t)((low & 0xffffu) >> scale.shift);
+}
+
+#endif

@@ -1,0 +1,46 @@
+#include "servo.h"
+
+// A sum of a few saturated terms, each clamped so that the sum cannot overflow.
+static int32_t bounded(int32_t torque_tq) { return fixed_clamp(torque_tq, 1 << 27); }
+
+// Integration stops while the output is saturated in the error's direction (conditional
+// integration: Astrom and Hagglund, Advanced PID Control, 2006, section 3.5).
+static void integrate(struct servo *servo, const struct setpoint *setpoint, int32_t error_pq,
+                      int32_t limit_tq) {
+    bool pushes = (error_pq > 0) == (servo->unclipped_tq > 0);
+    if (servo->saturated && pushes)
+        return;
+    int32_t limit = limit_tq << SERVO_INTEGRAL_BITS;
+    if (limit_tq >= SERVO_TORQUE_MAX)
+        limit = INT32_MAX;
+    int32_t step = fixed_clamp(fixed_scale(error_pq, setpoint->ki), 1 << 28);
+    int64_t sum = (int64_t)servo->integral + step;
+    servo->integral = sum > limit ? limit : sum < -limit ? -limit : (int32_t)sum;
+}
+
+int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
+                   const struct setpoint *setpoint, int32_t encoder_count) {
+    int32_t count = fixed_clamp(encoder_count, (1 << (30 - SERVO_COUNT_BITS)) - 1);
+    int32_t error_pq = setpoint->position_pq - count * (1 << SERVO_COUNT_BITS);
+    error_pq = fixed_clamp(error_pq, (1 << 30) - 1); // so that a difference cannot overflow
+    int32_t difference_pq = servo->primed ? error_pq - servo->error_pq : 0;
+    servo->error_pq = error_pq;
+    servo->primed = true;
+    if (setpoint->integrate)
+        integrate(servo, setpoint, error_pq, settings->torque_limit_tq);
+
+    servo->unclipped_tq = bounded(fixed_scale(error_pq, setpoint->kp)) +
+                          bounded(fixed_scale(difference_pq, setpoint->kd)) +
+                          (servo->integral >> SERVO_INTEGRAL_BITS) +
+                          bounded(fixed_scale(setpoint->velocity_pq, settings->velocity_tq)) +
+                          bounded(setpoint->torque_tq);
+    servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);
+
+    int32_t voltage_mV =
+        fixed_clamp(fixed_scale(servo->torque_tq, settings->resistance_mV), 1 << 20) +
+        fixed_clamp(fixed_scale(setpoint->velocity_pq, settings->emf_mV), 1 << 20);
+    int32_t duty = fixed_scale(voltage_mV, settings->supply_duty);
+    servo->saturated =
+        servo->torque_tq != servo->unclipped_tq || duty > SERVO_DUTY_MAX || duty < -SERVO_DUTY_MAX;
+    return fixed_clamp(duty, SERVO_DUTY_MAX);
+}

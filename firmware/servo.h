@@ -1,0 +1,51 @@
+// The servo: PID on the following error, velocity and torque feed-forward, torque to PWM duty.
+//
+// Quanta: positions in 1/1024 of an encoder count (`_pq`), torques in a quantum the host chooses so
+// that the limit lies between 2^20 and 2^25 (`_tq`; 1 uNm on small machines), duty in 1/32768.
+#ifndef HEADWAY_SERVO_H
+#define HEADWAY_SERVO_H
+
+#include "fixed.h"
+#include <stdbool.h>
+#include <stdint.h>
+
+#define SERVO_COUNT_BITS 10   // 1 count = 2^10 pq
+#define SERVO_INTEGRAL_BITS 6 // the integral is held in tq / 2^6
+#define SERVO_TORQUE_MAX (1 << 25)
+#define SERVO_DUTY_MAX 32767
+
+struct servo_settings {
+    struct scale kp_tq;         // torque per following error [tq/pq]
+    struct scale ki_tq;         // torque / 2^6 per error and servo period [tq/pq]
+    struct scale kd_tq;         // torque per error difference over one servo period [tq/pq]
+    struct scale velocity_tq;   // torque per speed of the track [tq knot/pq]
+    struct scale resistance_mV; // voltage per torque: R / (Kt gear) [mV/tq]
+    struct scale emf_mV;        // voltage per speed of the track: Ke gear [mV knot/pq]
+    struct scale supply_duty;   // duty per voltage: 1 / supply [1/mV]
+    int32_t torque_limit_tq;    // output ceiling, <= SERVO_TORQUE_MAX
+    bool integrate_running;     // else the integral rests while a plan runs
+};
+
+struct servo {
+    bool primed; // `error_pq` is valid
+    int32_t error_pq;
+    int32_t integral; // tq / 2^6
+    int32_t unclipped_tq;
+    int32_t torque_tq; // after the ceiling
+    bool saturated;    // torque ceiling or voltage reached
+};
+
+// What the tracks ask for at this instant.
+struct setpoint {
+    int32_t position_pq;
+    int32_t velocity_pq; // per knot interval
+    int32_t torque_tq;
+    struct scale kp, ki, kd; // from the gain tracks, or the settings
+    bool integrate;
+};
+
+// One servo period: returns the duty.
+int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
+                   const struct setpoint *setpoint, int32_t encoder_count);
+
+#endif

@@ -1,0 +1,58 @@
+#include "status.h"
+#include "wire.h" // fields and varints
+
+int32_t status_encode(const struct status *status, uint8_t *payload, int32_t capacity) {
+    struct writer w = {payload, capacity, 0, false};
+    write_uint(&w, (uint64_t)status->sent_us, 8);
+    write_uint(&w, status->state, 1);
+    write_uint(&w, status->refusal, 1);
+    write_uint(&w, status->synced, 1);
+    write_uint(&w, status->plan_seen, 4);
+    write_uint(&w, status->plan_accepted, 4);
+    write_uint(&w, status->accepted_mask, 4);
+    write_uint(&w, status->counters.plans_accepted, 4);
+    write_uint(&w, status->counters.plans_late, 4);
+    write_uint(&w, status->counters.plans_refused, 4);
+    write_uint(&w, status->counters.frames_bad, 4);
+    write_uint(&w, status->counters.coasts, 4);
+    write_uint(&w, (uint32_t)status->torque_peak_tq, 4);
+    write_uint(&w, status->torque_clipped, 4);
+    if (status->sample_count > STATUS_SAMPLES_MAX)
+        return -1;
+    write_uint(&w, status->sample_count, 1);
+    struct sample last = {status->sent_us, 0};
+    for (int32_t i = 0; i < status->sample_count; i++) {
+        write_varint(&w, status->samples[i].time_us - last.time_us);
+        write_varint(&w, (int64_t)status->samples[i].count - last.count);
+        last = status->samples[i];
+    }
+    return w.failed ? -1 : w.size;
+}
+
+bool status_decode(const uint8_t *payload, int32_t size, struct status *status) {
+    struct reader r = {payload, size, 0, false};
+    status->sent_us = (int64_t)read_uint(&r, 8);
+    status->state = (uint8_t)read_uint(&r, 1);
+    status->refusal = (uint8_t)read_uint(&r, 1);
+    status->synced = read_uint(&r, 1) != 0;
+    status->plan_seen = (uint32_t)read_uint(&r, 4);
+    status->plan_accepted = (uint32_t)read_uint(&r, 4);
+    status->accepted_mask = (uint32_t)read_uint(&r, 4);
+    status->counters.plans_accepted = (uint32_t)read_uint(&r, 4);
+    status->counters.plans_late = (uint32_t)read_uint(&r, 4);
+    status->counters.plans_refused = (uint32_t)read_uint(&r, 4);
+    status->counters.frames_bad = (uint32_t)read_uint(&r, 4);
+    status->counters.coasts = (uint32_t)read_uint(&r, 4);
+    status->torque_peak_tq = (int32_t)(uint32_t)read_uint(&r, 4);
+    status->torque_clipped = (uint32_t)read_uint(&r, 4);
+    status->sample_count = (uint8_t)read_uint(&r, 1);
+    if (r.failed || status->sample_count > STATUS_SAMPLES_MAX)
+        return false;
+    uint64_t time_us = (uint64_t)status->sent_us, count = 0; // unsigned: hostile sums may wrap
+    for (int32_t i = 0; i < status->sample_count; i++) {
+        time_us += (uint64_t)read_varint(&r);
+        count += (uint64_t)read_varint(&r);
+        status->samples[i] = (struct sample){(int64_t)time_us, (int32_t)(uint32_t)count};
+    }
+    return !r.failed && r.at == size;
+}

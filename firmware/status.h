@@ -1,0 +1,37 @@
+// The payload of a STATUS frame: what the device did with the host's frames, and its samples.
+#ifndef HEADWAY_STATUS_H
+#define HEADWAY_STATUS_H
+
+#include "history.h"
+#include <stdbool.h>
+#include <stdint.h>
+
+#define STATUS_SAMPLES_MAX 32
+
+struct counters {
+    uint32_t plans_accepted;
+    uint32_t plans_late;    // refused: a live point would have changed
+    uint32_t plans_refused; // refused by the gate for any other reason
+    uint32_t frames_bad;    // not authentic, malformed, replayed
+    uint32_t coasts;        // RUNNING -> COAST
+};
+
+struct status {
+    int64_t sent_us; // the device's system time
+    uint8_t state;   // enum device_state
+    uint8_t refusal; // enum gate_result of the last refused plan
+    bool synced;
+    uint32_t plan_seen;     // highest plan number that arrived
+    uint32_t plan_accepted; // last plan accepted
+    uint32_t accepted_mask; // bit i: plan plan_seen - i was accepted
+    struct counters counters;
+    int32_t torque_peak_tq;  // largest unclipped |torque| since the last status
+    uint32_t torque_clipped; // servo periods at the ceiling, ever
+    uint8_t sample_count;
+    struct sample samples[STATUS_SAMPLES_MAX];
+};
+
+int32_t status_encode(const struct status *status, uint8_t *payload, int32_t capacity);
+bool status_decode(const uint8_t *payload, int32_t size, struct status *status);
+
+#endif

@@ -1,0 +1,1 @@
+"""A machine as mathematics: parameters with unit and source, dynamics, one folder per machine."""

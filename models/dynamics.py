@@ -1,0 +1,137 @@
+"""Rigid-body dynamics as CasADi expressions, by walking a `pin.Model`.
+
+PyPI's `pin` has no CasADi scalar, so the two recursions are written out here for trees of
+one-degree-of-freedom joints; pin's own numeric algorithms are their oracle in the tests.
+Notation and algorithms: R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008, tables 5.1
+(RNEA) and 7.1 (ABA). Spatial vectors are [linear; angular] as in pin.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+
+def _skew(p: Any) -> Any:
+    return ca.vertcat(
+        ca.horzcat(0, -p[2], p[1]), ca.horzcat(p[2], 0, -p[0]), ca.horzcat(-p[1], p[0], 0)
+    )
+
+
+def _motion_from_parent(rotation: Any, translation: Any) -> Any:
+    """6x6 map of motion vectors from the parent's frame into the child's."""
+    turned = rotation.T
+    return ca.blockcat([[turned, -turned @ _skew(translation)], [ca.SX(3, 3), turned]])
+
+
+def _cross_motion(v: Any) -> Any:
+    return ca.blockcat([[_skew(v[3:6]), _skew(v[0:3])], [ca.SX(3, 3), _skew(v[3:6])]])
+
+
+def _cross_force(v: Any) -> Any:
+    return -_cross_motion(v).T
+
+
+class Tree:
+    """A fixed-base tree of revolute and prismatic joints, as numbers for the recursions.
+
+    Raises ValueError for a joint with more than one degree of freedom.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self.count = model.njoints - 1
+        if model.nq != self.count or model.nv != self.count:
+            many = [
+                model.names[j]
+                for j in range(1, model.njoints)
+                if model.joints[j].nq != 1 or model.joints[j].nv != 1
+            ]
+            raise ValueError(
+                f"joint {', '.join(many)}: only hinge and slide joints are supported; "
+                "replace a free, ball or continuous joint by hinges and slides"
+            )
+        self.parent = [int(model.parents[j + 1]) - 1 for j in range(self.count)]
+        self.placement = [model.jointPlacements[j + 1] for j in range(self.count)]
+        self.axis = [np.array(model.joints[j + 1].createData().S).ravel() for j in range(self.count)]
+        self.inertia = [np.array(model.inertias[j + 1].matrix()) for j in range(self.count)]
+        self.armature = np.array(model.armature)
+        self.damping = np.array(model.damping)
+        self.gravity = np.array(model.gravity.vector)
+
+    def transform(self, joint: int, q: Any) -> Any:
+        """Motion transform into joint `joint`'s frame from its parent's, at coordinate q."""
+        axis, place = self.axis[joint], self.placement[joint]
+        if np.any(axis[3:]):  # revolute: Rodrigues' formula
+            skew = np.array(pin.skew(axis[3:]))
+            turn = ca.SX(np.eye(3)) + ca.sin(q) * skew + (1 - ca.cos(q)) * (skew @ skew)
+            return _motion_from_parent(place.rotation @ turn, ca.SX(place.translation))
+        shift = place.translation + place.rotation @ axis[:3] * q
+        return _motion_from_parent(ca.SX(place.rotation), shift)
+
+
+def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
+    """Joint torques [Nm or N] that give accelerations `a`: RNEA with armature and damping."""
+    transforms, velocity, force = [], [], []
+    acceleration: list[Any] = []
+    for j in range(tree.count):
+        s, x = ca.SX(tree.axis[j]), tree.transform(j, q[j])
+        parent = tree.parent[j]
+        v_parent = velocity[parent] if parent >= 0 else ca.SX(6, 1)
+        a_parent = acceleration[parent] if parent >= 0 else ca.SX(-tree.gravity)
+        velocity.append(x @ v_parent + s * v[j])
+        acceleration.append(x @ a_parent + s * a[j] + _cross_motion(velocity[j]) @ (s * v[j]))
+        inertia = ca.SX(tree.inertia[j])
+        force.append(inertia @ acceleration[j] + _cross_force(velocity[j]) @ inertia @ velocity[j])
+        transforms.append(x)
+    tau: list[Any] = [None] * tree.count
+    for j in reversed(range(tree.count)):
+        tau[j] = ca.dot(ca.SX(tree.axis[j]), force[j])
+        tau[j] += tree.armature[j] * a[j] + tree.damping[j] * v[j]
+        if tree.parent[j] >= 0:
+            force[tree.parent[j]] += transforms[j].T @ force[j]
+    return ca.vertcat(*tau)
+
+
+def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:
+    """Joint accelerations under joint torques `tau`: ABA with armature and damping."""
+    n = tree.count
+    transforms, velocity, bias_acceleration = [], [], []
+    inertia: list[Any] = []
+    bias: list[Any] = []
+    for j in range(n):
+        s, x = ca.SX(tree.axis[j]), tree.transform(j, q[j])
+        v_parent = velocity[tree.parent[j]] if tree.parent[j] >= 0 else ca.SX(6, 1)
+        velocity.append(x @ v_parent + s * v[j])
+        bias_acceleration.append(_cross_motion(velocity[j]) @ (s * v[j]))
+        inertia.append(ca.SX(tree.inertia[j]))
+        bias.append(_cross_force(velocity[j]) @ inertia[j] @ velocity[j])
+        transforms.append(x)
+    force: list[Any] = [None] * n
+    diagonal: list[Any] = [None] * n
+    torque: list[Any] = [None] * n
+    for j in reversed(range(n)):
+        s = ca.SX(tree.axis[j])
+        force[j] = inertia[j] @ s
+        diagonal[j] = ca.dot(s, force[j]) + tree.armature[j]
+        torque[j] = tau[j] - tree.damping[j] * v[j] - ca.dot(s, bias[j])
+        parent = tree.parent[j]
+        if parent >= 0:
+            rank_one = force[j] @ force[j].T / diagonal[j]
+            articulated = inertia[j] - rank_one
+            articulated_bias = (
+                bias[j] + articulated @ bias_acceleration[j] + force[j] * (torque[j] / diagonal[j])
+            )
+            inertia[parent] += transforms[j].T @ articulated @ transforms[j]
+            bias[parent] += transforms[j].T @ articulated_bias
+    result: list[Any] = []
+    acceleration: list[Any] = []
+    for j in range(n):
+        parent = tree.parent[j]
+        a_parent = acceleration[parent] if parent >= 0 else ca.SX(-tree.gravity)
+        a = transforms[j] @ a_parent + bias_acceleration[j]
+        result.append((torque[j] - ca.dot(force[j], a)) / diagonal[j])
+        acceleration.append(a + ca.SX(tree.axis[j]) * result[j])
+    return ca.vertcat(*result)

@@ -1,0 +1,1 @@
+"""The headway command: the one place that composes the others."""

@@ -1,0 +1,1 @@
+"""The MuJoCo plant with the firmware compiled in, the simulated network, closed loop."""

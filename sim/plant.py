@@ -1,0 +1,121 @@
+"""The plant: a MuJoCo model whose motors are boards running the firmware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import headway.sim
+from headway.configs.schema import Machine
+from headway.configs.schema import Plant as PlantConfig
+from headway.sim import _board
+
+
+def load_plugin() -> None:
+    """Registers the engine plugin `headway.servo`. Safe to call twice.
+
+    The compiled plugin lies beside the package's other compiled files, wherever the build put
+    them, so it is looked for along the package's path.
+    """
+    for folder in headway.sim.__path__:
+        plugin = Path(folder) / "headway_servo.so"
+        if plugin.exists():
+            mujoco.mj_loadPluginLibrary(str(plugin))
+            return
+    raise FileNotFoundError("headway_servo.so is not built: run scripts/setup")
+
+
+COUNTS_PER_UNIT, GEAR, TORQUE_CONSTANT, RESISTANCE, SUPPLY, BRAKE = range(6)  # actuator user data
+
+
+class Plant:
+    """Steps the machine; each axis of the config is one node (device and board).
+
+    Raises ValueError where config and model do not fit together.
+    """
+
+    def __init__(self, path: Path, machine: Machine, config: PlantConfig) -> None:
+        load_plugin()
+        try:
+            self.model = mujoco.MjModel.from_xml_path(str(path))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        self._vary(machine, config)
+        self.data = mujoco.MjData(self.model)
+        self.step_us = round(self.model.opt.timestep * 1e6)
+        self.nodes: list[_board.Node] = []
+        self._qpos, self._dof, self._actuator = [], [], []
+        for axis in machine.axes:
+            joint = _named(path, self.model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
+            actuator = self._actuator_on(path, joint, axis.joint)
+            start = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
+            window = self.data.plugin_state[start : start + _board.NODE_NUMBERS]
+            self.nodes.append(_board.Node(window))
+            self._qpos.append(self.model.jnt_qposadr[joint])
+            self._dof.append(self.model.jnt_dofadr[joint])
+            self._actuator.append(actuator)
+
+    def _actuator_on(self, path: Path, joint: int, name: str) -> int:
+        for actuator in range(self.model.nu):
+            on_joint = self.model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+            if on_joint and self.model.actuator_trnid[actuator, 0] == joint:
+                return actuator
+        raise ValueError(f"{path}: joint {name} has no headway.servo actuator")
+
+    def _vary(self, machine: Machine, config: PlantConfig) -> None:
+        model = self.model
+        for body, factor in config.mass_scale.items():
+            index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
+            if index < 0:
+                raise ValueError(f"sim.plant.mass_scale: the model has no body {body}")
+            model.body_mass[index] *= factor
+            model.body_inertia[index] *= factor
+        model.dof_damping[:] *= config.viscous_scale
+        for axis, coulomb in zip(machine.axes, config.coulomb_Nm or [], strict=False):
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
+            if joint >= 0:
+                model.dof_frictionloss[model.jnt_dofadr[joint]] = coulomb
+        if model.nuser_actuator > TORQUE_CONSTANT:
+            model.actuator_user[:, TORQUE_CONSTANT] *= config.motor_constant_scale
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    @property
+    def true_us(self) -> int:
+        """The simulator's own time; nothing on the host or a device reads it."""
+        return int(self.nodes[0].true_us)
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """True joint positions [rad], by axis."""
+        return self.data.qpos[self._qpos]  # type: ignore[no-any-return]
+
+    @position.setter
+    def position(self, value: NDArray[np.float64]) -> None:
+        self.data.qpos[self._qpos] = value
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """True joint velocities [rad/s], by axis."""
+        return self.data.qvel[self._dof]  # type: ignore[no-any-return]
+
+    @property
+    def torque(self) -> NDArray[np.float64]:
+        """Torque of motor and brake at the joint [Nm], by axis."""
+        return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
+
+    def step(self, count: int) -> None:
+        """Advances plant, servos and devices by `count` physics steps."""
+        mujoco.mj_step(self.model, self.data, count)
+
+
+def _named(path: Path, model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    index = mujoco.mj_name2id(model, kind, name)
+    if index < 0:
+        known = ", ".join(
+            mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in range(model.njnt)
+        )
+        raise ValueError(f"{path}: there is no joint {name}; the model's joints are {known}")
+    return int(index)

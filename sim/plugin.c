@@ -1,0 +1,115 @@
+// MuJoCo engine plugin: a geared brushed DC motor with encoder and brake, driven by the firmware.
+//
+// One actuator is one board. mj_step alone runs plant and servos: after each step the device is
+// polled with its new encoder count; in the next one the motor turns its duty into torque. All
+// state, the device's included, lives in mjData's plugin_state. The motor's numbers are in the
+// actuator's `user` array (enum motor), where a plant's parameters can be varied.
+#include <math.h>
+#include <mujoco/mujoco.h>
+#include <string.h>
+
+#include "board.h"
+
+enum motor {
+    COUNTS_PER_UNIT, // encoder counts per radian or metre of the joint
+    GEAR,            // motor turns per joint turn
+    TORQUE_CONSTANT, // Nm/A = V s/rad at the motor
+    RESISTANCE,      // ohm
+    SUPPLY,          // V
+    BRAKE,           // Nm at the joint
+    MOTOR_COUNT
+};
+
+#define BRAKE_STIFFNESS 400.0 // times the brake's torque, per radian: it holds within 2.5 mrad
+#define BRAKE_DAMPING 4.0     // times the brake's torque, s/rad
+
+static int actuator_of(const mjModel *m, int instance) {
+    for (int i = 0; i < m->nu; i++)
+        if (m->actuator_plugin[i] == instance)
+            return i;
+    return -1;
+}
+
+static struct node *node_of(const mjModel *m, mjData *d, int instance) {
+    return (struct node *)(d->plugin_state + m->plugin_stateadr[instance]);
+}
+
+static int state_size(const mjModel *m, int instance) {
+    (void)m, (void)instance;
+    return (int)((sizeof(struct node) + sizeof(mjtNum) - 1) / sizeof(mjtNum));
+}
+
+static int check(const mjModel *m, mjData *d, int instance) {
+    (void)d;
+    int id = actuator_of(m, instance);
+    if (id < 0 || m->actuator_trntype[id] != mjTRN_JOINT) {
+        mju_warning("headway.servo: the plugin drives an actuator on a joint");
+        return -1;
+    }
+    if (m->nuser_actuator < MOTOR_COUNT) {
+        mju_warning("headway.servo: the actuator's user array needs 6 numbers: counts per unit, "
+                    "gear, torque constant, resistance, supply, brake");
+        return -1;
+    }
+    return 0;
+}
+
+static void reset(const mjModel *m, mjtNum *plugin_state, void *plugin_data, int instance) {
+    (void)m, (void)plugin_data, (void)instance;
+    struct node *node = (struct node *)plugin_state;
+    memset(node, 0, sizeof *node);
+    node->board.brake = true;
+}
+
+// A stiff spring to where the brake engaged, as strong as the brake is.
+static mjtNum brake_force(struct board *board, mjtNum strength, mjtNum position, mjtNum velocity) {
+    if (!board->brake) {
+        board->brake_anchored = false;
+        return 0;
+    }
+    if (!board->brake_anchored) {
+        board->brake_anchor = position;
+        board->brake_anchored = true;
+    }
+    mjtNum force =
+        -strength * (BRAKE_STIFFNESS * (position - board->brake_anchor) + BRAKE_DAMPING * velocity);
+    return mju_clip(force, -strength, strength);
+}
+
+static void compute(const mjModel *m, mjData *d, int instance, int capability) {
+    (void)capability;
+    int id = actuator_of(m, instance), joint = m->actuator_trnid[2 * id];
+    const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
+    struct board *board = &node_of(m, d, instance)->board;
+    mjtNum position = d->qpos[m->jnt_qposadr[joint]], velocity = d->qvel[m->jnt_dofadr[joint]];
+    mjtNum force = brake_force(board, motor[BRAKE], position, velocity);
+    if (!board->brake) { // with the brake on the bridge is open: no current
+        mjtNum constant = motor[GEAR] * motor[TORQUE_CONSTANT];
+        mjtNum voltage = board->duty_q15 / 32768.0 * motor[SUPPLY];
+        force += constant * (voltage - constant * velocity) / motor[RESISTANCE];
+    }
+    d->actuator_force[id] = force;
+}
+
+static void advance(const mjModel *m, mjData *d, int instance) {
+    int id = actuator_of(m, instance), joint = m->actuator_trnid[2 * id];
+    const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
+    struct node *node = node_of(m, d, instance);
+    mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
+    node->board.encoder_count = (int32_t)mju_clip(count, -2e9, 2e9);
+    node->board.true_us += (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
+    device_poll(&node->device, &node->board);
+}
+
+mjPLUGIN_LIB_INIT(headway_servo) {
+    mjpPlugin plugin;
+    mjp_defaultPlugin(&plugin);
+    plugin.name = "headway.servo";
+    plugin.capabilityflags |= mjPLUGIN_ACTUATOR;
+    plugin.nstate = state_size;
+    plugin.init = check;
+    plugin.reset = reset;
+    plugin.compute = compute;
+    plugin.advance = advance;
+    mjp_registerPlugin(&plugin);
+}
