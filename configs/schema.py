@@ -110,8 +110,8 @@ class Mpc(Section):
 
     enabled: bool = True  # off: the reference itself is streamed
     feedforward: Literal["none", "model"] = "model"  # with mpc off: the torque track
-    horizon_us: Annotated[int, Field(ge=20000, le=2000000)] = 172032
-    intervals: Annotated[int, Field(ge=4, le=200)] = 21
+    horizon_us: Annotated[int, Field(ge=20000, le=2000000)] = 180224
+    intervals: Annotated[int, Field(ge=4, le=200)] = 22
     position_weight: Positive = 1.0e6  # 1/rad^2
     velocity_weight: NotNegative = 2.0e2  # s^2/rad^2
     torque_step_weight: NotNegative = 0.5  # 1/Nm^2, on the change from node to node

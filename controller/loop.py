@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 SETTLE_TICKS = 1000  # of synchronization before the first plan
 START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
-ENTRY_S = 0.4  # from rest onto the task's reference
+ENTRY_S = 0.5  # from rest onto the task's reference
 IDLE, HOLD = _core.STATES.index("IDLE"), _core.STATES.index("HOLD")
 
 

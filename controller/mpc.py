@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import osqp
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from headway.configs.schema import Config
 from headway.controller.estimator import Estimate
@@ -48,7 +49,9 @@ class Mpc:
         self._prediction = prediction
         self._knots = config.mpc.horizon_us // config.loop.knot_us
         self._stride = self._knots // config.mpc.intervals
-        self._interpolate = _Hermite(self._stride, ocp.interval_s)
+        self._interpolate = _Interpolation(
+            config.mpc.intervals, self._stride, ocp.interval_s
+        )
         self._solver = osqp.OSQP()
         self._solver.setup(
             ocp.hessian,
@@ -56,8 +59,9 @@ class Mpc:
             ocp.constraints,
             ocp.lower,
             ocp.upper,
-            eps_abs=1e-5,
-            eps_rel=1e-5,
+            eps_abs=1e-4,  # in scaled units: 1e-4 mrad
+            eps_rel=1e-4,
+            scaling=0,  # the problem is scaled already
             max_iter=config.mpc.max_iterations,
             check_termination=10,
             adaptive_rho=True,
@@ -124,18 +128,19 @@ class Mpc:
 
     def _motion(self, x: Array, u: Array, z: Array) -> Motion:
         n, ocp = self._ocp.n, self._ocp
+        z = z * ocp.column_scale
         nodes = x + z[ocp.states].reshape(-1, 2 * n)
         torques = u + z[ocp.torques].reshape(-1, n)
         position, velocity = self._interpolate.states(nodes[:, :n], nodes[:, n:])
-        return Motion(position, velocity, self._interpolate.linear(torques))
+        return Motion(position, velocity, self._interpolate.torques(torques))
 
 
-class _Hermite:
-    """From nodes to knots: cubic Hermite for positions, linear for torques."""
+class _Interpolation:
+    """From nodes to knots: cubic Hermite for states; for torques the C2 cubic spline, which a track
+    can represent, flat at the end."""
 
-    def __init__(self, stride: int, interval_s: float) -> None:
+    def __init__(self, intervals: int, stride: int, interval_s: float) -> None:
         s = np.arange(stride) / stride
-        self._s = s[None, :, None]
         self._value = np.stack(
             [(1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s**2 * (3 - 2 * s), s**2 * (s - 1)]
         )
@@ -143,6 +148,9 @@ class _Hermite:
             [6 * s * (s - 1), (1 - s) * (1 - 3 * s), 6 * s * (1 - s), s * (3 * s - 2)]
         )
         self._h = interval_s
+        nodes, flat = np.arange(intervals + 1), ("natural", "clamped")
+        spline = CubicSpline(nodes, np.eye(intervals + 1), bc_type=flat)
+        self._spline: Array = spline(np.arange(intervals * stride + 1) / stride)
 
     def states(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Positions and velocities at the knots."""
@@ -151,7 +159,6 @@ class _Hermite:
         velocity = np.einsum("cs,cin->isn", self._slope / self._h, corners).reshape(-1, q.shape[1])
         return np.vstack((position, q[-1])), np.vstack((velocity, v[-1]))
 
-    def linear(self, u: Array) -> Array:
+    def torques(self, u: Array) -> Array:
         """Torques at the knots."""
-        between = u[:-1, None] * (1 - self._s) + u[1:, None] * self._s
-        return np.vstack((between.reshape(-1, u.shape[1]), u[-1]))
+        return self._spline @ u

@@ -24,7 +24,7 @@ static inline int32_t fixed_mul_q16(int32_t a, uint16_t b) {
     return high + (int32_t)(low >> 16);
 }
 
-// a * scale, rounded down, saturating.
+// a * scale, rounded down. Saturates to +-INT32_MAX, from 2^(16 - shift) before the ends on.
 static inline int32_t fixed_scale(int32_t a, struct scale scale) {
     int32_t high = (a >> 16) * (int32_t)scale.mantissa;
     uint32_t low = ((uint32_t)a & 0xffffu) * scale.mantissa;
