@@ -68,14 +68,15 @@ def _apply(tree: Any, override: str) -> None:
         raise ConfigError(f"--set {override}: there is no {key} in this config") from error
 
 
-def _line(tree: Any, location: tuple[int | str, ...]) -> int | None:
+def _line(node: Any, location: tuple[int | str, ...]) -> int | None:
     """Line of the deepest part of `location` that the file has."""
     line = None
     for step in location:
         try:
-            position = tree.lc.item(step) if isinstance(tree, list) else tree.lc.key(step)
+            place = node.lc
+            position = place.item(step) if hasattr(node, "append") else place.key(step)
             line = int(position[0]) + 1
-            tree = tree[step]
+            node = node[step]
         except (AttributeError, KeyError, IndexError, TypeError):
             break
     return line
@@ -90,6 +91,8 @@ def _describe(path: Path, tree: Any, error: ValidationError) -> str:
         message = problem["msg"].removeprefix("Value error, ")
         if problem["type"] == "extra_forbidden":
             message = "unknown key"
-        given = "" if isinstance(problem["input"], dict | list) else f" (given: {problem['input']!r})"
+        given = (
+            "" if isinstance(problem["input"], dict | list) else f" (given: {problem['input']!r})"
+        )
         lines.append(f"{place}: {key}: {message}{given}")
     return "\n".join(lines)

@@ -24,10 +24,10 @@ from headway.controller.mpc import Motion, Mpc, Solution
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.reference import Entry, Reference
 from headway.controller.tracks import Commitment, Encoder
+from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits
 from headway.devices.link import Link
 from headway.devices.remote import SINKS, Points, Remote
-from headway.firmware import _core
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
@@ -35,7 +35,11 @@ Array = NDArray[np.float64]
 SETTLE_TICKS = 1000  # of synchronization before the first plan
 START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
 ENTRY_S = 0.5  # from rest onto the task's reference
-IDLE, HOLD = _core.STATES.index("IDLE"), _core.STATES.index("HOLD")
+IDLE, HOLD = core.STATES.index("IDLE"), core.STATES.index("HOLD")
+
+
+SATURATION_ROOM = 0.05  # of the torque limit: a plan may ask for this much more than it will get
+FIXED_KNOTS = 3  # from the commit knot on, in which committed points still shape the tracks
 
 
 class DeviceError(Exception):
@@ -98,8 +102,8 @@ class Loop:
         self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
         self._limits = [
             {
-                _core.TRACK_POSITION: position_limits(axis, units),
-                _core.TRACK_TORQUE: torque_limits(axis, units),
+                core.TRACK_POSITION: position_limits(axis, units),
+                core.TRACK_TORQUE: torque_limits(axis, units),
             }
             for axis, units in zip(axes, self._units, strict=True)
         ]
@@ -168,8 +172,8 @@ class Loop:
         count = 6
         self._start_plan = [
             {
-                _core.TRACK_POSITION: units.position_points(np.full(count, position[axis])),
-                _core.TRACK_TORQUE: units.torque_points(np.full(count, torque[axis])),
+                core.TRACK_POSITION: units.position_points(np.full(count, position[axis])),
+                core.TRACK_TORQUE: units.torque_points(np.full(count, torque[axis])),
             }
             for axis, units in enumerate(self._units)
         ]
@@ -224,7 +228,7 @@ class Loop:
             self._last = (commit_knot, rolled)
             tick.accepted, tick.motion = True, rolled
             tick.encoding_error = np.abs(rolled.torque - motion.torque)[5:].max(axis=0)
-            tick.planned_torque = np.abs(rolled.torque).max(axis=0)
+            tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
             outbox = self._join(knot, commit_knot, points)
         tick.encode_us = (time.perf_counter() - began) * 1e6
         return outbox
@@ -244,8 +248,10 @@ class Loop:
         commit_us = commit_knot * self._knot_us - self.start_us
         assert tick.commit is not None
         if self._mpc is None:
-            return self._feedforward((commit_us + self._knots_us) * 1e-6)
-        position, velocity, _ = self._reference.at((commit_us + self._node_us) * 1e-6)
+            return self._feedforward((commit_us + self._knots_us.astype(np.float64)) * 1e-6)
+        position, velocity, _ = self._reference.at(
+            (commit_us + self._node_us.astype(np.float64)) * 1e-6
+        )
         tracks = self._commitment.at(np.array([commit_knot * self._knot_us]))
         n = self._prediction.n
         torque = self._prediction.law.torque(tick.commit.state(n)[None], tracks)[0]
@@ -263,13 +269,14 @@ class Loop:
     def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device, and the roll-out within the motors' torque."""
         if self._mpc is not None:
-            limit = self._prediction.law.limit
-            if not np.all(np.isfinite(rolled.torque)) or np.any(np.abs(rolled.torque) > limit):
+            free = rolled.torque[FIXED_KNOTS:]
+            ceiling = (1 + SATURATION_ROOM) * self._prediction.law.limit
+            if not np.all(np.abs(free) <= ceiling):  # false for not-a-number
                 return False
         first = commit_knot - 1
         for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
             for sink in SINKS:
-                result = _core.gate_check_track(
+                result = core.gate_check_track(
                     limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
                 )
                 if result != "accepted":
@@ -278,16 +285,16 @@ class Loop:
 
     def _repeat(self, knot: int) -> Outbox:
         """The committed plan's points that have not begun, unchanged."""
-        first = knot + _core.LIVE_KNOTS
-        ends = [r.track(_core.TRACK_POSITION).end for r in self._remotes]
-        count = max(3, min(max(ends) - first + 1, _core.PLAN_POINTS_MAX))
+        first = knot + core.LIVE_KNOTS
+        ends = [r.track(core.TRACK_POSITION).end for r in self._remotes]
+        count = max(3, min(max(ends) - first + 1, core.PLAN_POINTS_MAX))
         points = [{s: r.track(s).points(first, count) for s in SINKS} for r in self._remotes]
         return Outbox(first, points)
 
     def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
         """Committed points that have not begun, then the new ones."""
-        first = knot + _core.LIVE_KNOTS
-        joined = []
+        first = knot + core.LIVE_KNOTS
+        joined: list[Points] = []
         for remote, plan in zip(self._remotes, points, strict=True):
             joined.append({})
             for sink in SINKS:

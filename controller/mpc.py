@@ -17,7 +17,6 @@ from headway.controller.prediction import Prediction
 
 Array = NDArray[np.float64]
 
-RESIDUAL_MAX = 2e-3  # rad, rad/s and Nm: above it a "solved" plan is not believed
 SANE_MAX = 1e6  # OSQP marks failure with 2143289344.0, which is finite
 
 
@@ -49,9 +48,7 @@ class Mpc:
         self._prediction = prediction
         self._knots = config.mpc.horizon_us // config.loop.knot_us
         self._stride = self._knots // config.mpc.intervals
-        self._interpolate = _Interpolation(
-            config.mpc.intervals, self._stride, ocp.interval_s
-        )
+        self._interpolate = _Interpolation(config.mpc.intervals, self._stride, ocp.interval_s)
         self._solver = osqp.OSQP()
         self._solver.setup(
             ocp.hessian,
@@ -97,7 +94,7 @@ class Mpc:
         residual, motion = np.inf, None
         if z is not None:
             residual = ocp.residual(z)
-            if residual <= RESIDUAL_MAX:
+            if residual <= 1.0:
                 motion = self._motion(x, u, z)
         split = (assembled - began) * 1e6, (solved - assembled) * 1e6
         return Solution(motion, iterations, residual, *split)
@@ -132,12 +129,14 @@ class Mpc:
         nodes = x + z[ocp.states].reshape(-1, 2 * n)
         torques = u + z[ocp.torques].reshape(-1, n)
         position, velocity = self._interpolate.states(nodes[:, :n], nodes[:, n:])
-        return Motion(position, velocity, self._interpolate.torques(torques))
+        limit = ocp.limits.torque[0]  # the spline may swing beyond its nodes
+        torque = np.clip(self._interpolate.torques(torques), -limit, limit)
+        return Motion(position, velocity, torque)
 
 
 class _Interpolation:
     """From nodes to knots: cubic Hermite for states; for torques the C2 cubic spline, which a track
-    can represent, flat at the end."""
+    can represent, running out flat into the last interval, where the machine rests."""
 
     def __init__(self, intervals: int, stride: int, interval_s: float) -> None:
         s = np.arange(stride) / stride
@@ -148,9 +147,12 @@ class _Interpolation:
             [6 * s * (s - 1), (1 - s) * (1 - 3 * s), 6 * s * (1 - s), s * (3 * s - 2)]
         )
         self._h = interval_s
-        nodes, flat = np.arange(intervals + 1), ("natural", "clamped")
-        spline = CubicSpline(nodes, np.eye(intervals + 1), bc_type=flat)
-        self._spline: Array = spline(np.arange(intervals * stride + 1) / stride)
+        nodes = np.arange(intervals)
+        spline = CubicSpline(
+            nodes, np.eye(intervals, intervals + 1), bc_type=("natural", "clamped")
+        )
+        knots = np.arange(intervals * stride + 1) / stride
+        self._spline: Array = spline(np.minimum(knots, intervals - 1))
 
     def states(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Positions and velocities at the knots."""

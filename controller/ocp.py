@@ -1,8 +1,8 @@
 """The optimal control problem of one tick as a quadratic program for OSQP.
 
 Real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005): the dynamics are
-linearized along the trajectory that the last tick's encoded tracks give, and one QP is solved in the
-deviations from it. Variables: states x_0..x_N (2n each), motor torques u_0..u_N at the nodes (n
+linearized along the trajectory that the last tick's encoded tracks give, and one QP is solved in
+the deviations from it. Variables: states x_0..x_N (2n each), motor torques u_0..u_N at the nodes (n
 each; linear in between), one slack per axis for the soft position limits.
 
     minimize    sum w_i |x_i - ref_i|^2_Q + |u_{i+1} - u_i|^2_S + |u_0 - committed|^2_R
@@ -10,7 +10,8 @@ each; linear in between), one slack per axis for the soft position limits.
     subject to  x_0 = estimate at the commit knot
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
                 v_{N-1} = v_N = 0                        rest at the end
-                |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit, soft_min - s <= q <= soft_max + s
+                |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit
+                soft_min - s <= q <= soft_max + s
 """
 
 from __future__ import annotations
@@ -25,9 +26,14 @@ from headway.configs.schema import Config
 
 Array = NDArray[np.float64]
 
-TORQUE_SHARE = 0.95  # of the torque limit is planned: the rest is for the encoding and the PD
+# Shares of the torque limit that the plan may use, at its start and from its middle on: what is
+# kept back later lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
+# Zappa, Automatica 37, 2001), and leaves room for the encoding.
+TORQUE_SHARE_START, TORQUE_SHARE_END = 1.0, 0.85
 HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
 UNBOUNDED = 1e20
+# A plan whose constraints hold within these is believed: rad, rad/s, Nm.
+POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE = 3e-4, 1e-2, 5e-2
 FADE_START, FADE_END = 0.35, 0.65  # shares of the horizon: tracking gives way to stopping between
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
 
@@ -36,7 +42,7 @@ STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded
 class Limits:
     """By axis; SI."""
 
-    torque: Array
+    torque: Array  # (N+1, n), by node
     velocity: Array
     acceleration: Array
     soft_min: Array
@@ -49,8 +55,10 @@ class Limits:
         room = 2e-3  # to the device's hard limits, where no soft ones are given [rad]
         low = mpc.soft_min_rad or [a.position_min_rad + room for a in axes]
         high = mpc.soft_max_rad or [a.position_max_rad - room for a in axes]
+        ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
+        shares = TORQUE_SHARE_START + (TORQUE_SHARE_END - TORQUE_SHARE_START) * ramp
         return cls(
-            TORQUE_SHARE * np.array([a.torque_limit_Nm for a in axes]),
+            np.outer(shares, [a.torque_limit_Nm for a in axes]),
             HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),
             HULL_SHARE * np.array([a.acceleration_limit_rad_per_s2 for a in axes]),
             np.array(low),
@@ -114,8 +122,8 @@ class Ocp:
     def _build_constraints(self) -> None:
         """One COO entry list; entries of the dynamics are remembered to be overwritten."""
         n, count = self.n, self.intervals
-        rows: list[Array] = []
-        columns: list[Array] = []
+        rows: list[NDArray[np.int64]] = []
+        columns: list[NDArray[np.int64]] = []
         values: list[Array] = []
 
         def put(row: int, column: int, block: Array) -> None:
@@ -159,6 +167,10 @@ class Ocp:
                 put(row, self.slacks.start, -np.eye(n))
                 row += n
         self.rows = row
+        self._tolerance = np.full(row, VELOCITY_TOLERANCE)
+        states = np.arange(2 * n * (count + 1))
+        self._tolerance[states[states % (2 * n) < n]] = POSITION_TOLERANCE
+        self._tolerance[self._torque_row : self._velocity_row] = TORQUE_TOLERANCE
         entries = np.concatenate(values)
         order = sp.csc_matrix(  # of the entries' numbers
             (np.arange(1, len(entries) + 1), (np.concatenate(rows), np.concatenate(columns))),
@@ -226,10 +238,11 @@ class Ocp:
         high *= self._row_scale
 
     def residual(self, z: Array) -> float:
-        """Largest violation by the (scaled) variables z of any constraint but the soft ones, in rad, rad/s and Nm."""
+        """Largest violation of any constraint but the soft ones by scaled variables z, in parts of
+        its tolerance: up to one is good."""
         value = self.constraints @ z
         excess = np.maximum(self.lower - value, value - self.upper) / self._row_scale
-        return float(excess[: self._soft_row].max())
+        return float((excess / self._tolerance)[: self._soft_row].max())
 
 
 def _bound(low: Array, high: Array, row: int, guess: Array, limit: Array) -> None:

@@ -1,8 +1,8 @@
 """The prediction model: the machine together with the servo loops that track its tracks.
 
-tau = clip(f + Kp (r - q) + Kd (r' - v)) + c (r' - v), with r and f the position and torque tracks.
-The last term is the motor's: its voltage is set for the track's speed, so a speed error meets the
-back-EMF, c = (gear Kt)^2 / R.
+tau = clip(f + Kp (r - q) + (Kd + c)(r' - v)), with r and f the position and torque tracks. c is the
+motor's: its voltage is set for the track's speed, so a speed error meets the back-EMF,
+c = (gear Kt)^2 / R.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class ServoLaw:
         n = len(self.kp)
         r, rate, f = tracks[..., :n], tracks[..., n : 2 * n], tracks[..., 2 * n :]
         q, v = x[..., :n], x[..., n:]
-        return f + self.kp * (r - q) + (self.kd + self.emf) * (rate - v)
+        torque: Array = f + self.kp * (r - q) + (self.kd + self.emf) * (rate - v)
+        return torque
 
 
 def runge_kutta(derivative: Any, x: Any, start: Any, middle: Any, end: Any, dt: Any) -> Any:
@@ -88,11 +89,10 @@ class Prediction:
 
         def servoed(x: Any, tracks: Any) -> Any:
             r, rate, f = tracks[:n], tracks[n : 2 * n], tracks[2 * n :]
-            servo = f + law.kp * (r - x[:n]) + law.kd * (rate - x[n:])
-            clipped = ca.fmin(ca.fmax(servo, -law.limit), law.limit)
-            return driven(x, clipped + law.emf * (rate - x[n:]))
+            torque = f + law.kp * (r - x[:n]) + (law.kd + law.emf) * (rate - x[n:])
+            return driven(x, ca.fmin(ca.fmax(torque, -law.limit), law.limit))
 
-        after = runge_kutta(servoed, x, *tracks, dt)
+        after = runge_kutta(servoed, x, tracks[0], tracks[1], tracks[2], dt)
         jacobian = ca.densify(ca.jacobian(after, ca.vertcat(x, d)))
         step = ca.Function("step", [x, d, *tracks, dt], [after, jacobian])
         advance = ca.Function("advance", [x, d, *tracks, dt], [after])

@@ -3,8 +3,8 @@
 The position track r continues the committed points and closes in on the plan q*: least squares with
 a penalty on the curvature of the difference, never interpolation (its recursion from the committed
 points diverges). The torque track is f = tau* - Kp (r - q*) - (Kd + c)(r' - q*'), so that f and the
-servo's own feedback sum to the planned torque with feedback around the plan. Both end in three equal
-points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical Guide to
+servo's own feedback sum to the planned torque with feedback around the plan. Both end in three
+equal points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical Guide to
 Splines, chapter IX.
 """
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from headway.configs.schema import Loop
 from headway.controller.mpc import Motion
 from headway.controller.prediction import Prediction
+from headway.devices import core
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
-from headway.firmware import _core
 
 Array = NDArray[np.float64]
 
 POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: r closes in on q* over about 3 knots
-TORQUE_CURVATURE_WEIGHT = 0.05
+TORQUE_CURVATURE_WEIGHT = 0.002
 
 VALUE = np.array([1.0, 4.0, 1.0]) / 6  # of c[k-1], c[k], c[k+1] at knot k
 SLOPE = np.array([-0.5, 0.0, 0.5])  # per knot interval
@@ -34,7 +34,9 @@ MIDDLE_SLOPE = np.array([-1.0, -5.0, 5.0, 1.0]) / 8
 def at_knots(points: Array, weights: Array) -> Array:
     """Sum of weights * points[k ..] for each k: (m + len - 1, n) to (m, n)."""
     m = len(points) - len(weights) + 1
-    return sum(w * points[i : i + m] for i, w in enumerate(weights))  # type: ignore[return-value]
+    parts = [w * points[i : i + m] for i, w in enumerate(weights)]
+    total: Array = np.sum(parts, axis=0)
+    return total
 
 
 class Fit:
@@ -84,8 +86,8 @@ class Encoder:
         self._prediction, self._n = prediction, prediction.n
         self._units, self._h = units, loop.knot_us * 1e-6
         self._scale = {
-            _core.TRACK_POSITION: np.array([u.pq_per_rad for u in units]),
-            _core.TRACK_TORQUE: np.array([u.tq_per_Nm for u in units]),
+            core.TRACK_POSITION: np.array([u.pq_per_rad for u in units]),
+            core.TRACK_TORQUE: np.array([u.tq_per_Nm for u in units]),
         }
         self._position = Fit(prediction.horizon_knots, POSITION_CURVATURE_WEIGHT)
         self._torque = Fit(prediction.horizon_knots, TORQUE_CURVATURE_WEIGHT)
@@ -93,7 +95,8 @@ class Encoder:
     def committed(self, remotes: list[Remote], sink: int, knot: int, count: int) -> Array:
         """Points knot .. knot + count - 1 of one sink on all axes, in SI: (count, n)."""
         points = [remote.track(sink).points(knot, count) for remote in remotes]
-        return np.stack(points, axis=1) / self._scale[sink]
+        committed: Array = np.stack(points, axis=1) / self._scale[sink]
+        return committed
 
     def encode(self, motion: Motion, remotes: list[Remote], knot: int) -> list[Points]:
         """Control points from knot - 1 on, by axis, of a motion that begins at knot `knot`.
@@ -102,9 +105,9 @@ class Encoder:
         """
         law = self._prediction.law
         r = self._position(
-            motion.position, self.committed(remotes, _core.TRACK_POSITION, knot - 1, 3)
+            motion.position, self.committed(remotes, core.TRACK_POSITION, knot - 1, 3)
         )
-        r = self._quantize(r, _core.TRACK_POSITION)
+        r = self._quantize(r, core.TRACK_POSITION)
         value, rate = at_knots(r, VALUE), at_knots(r, SLOPE) / self._h
         f = (
             motion.torque
@@ -112,27 +115,30 @@ class Encoder:
             - (law.kd + law.emf) * (rate - motion.velocity)
         )
         f = np.clip(f, -law.limit, law.limit)
-        f = self._torque(f, self.committed(remotes, _core.TRACK_TORQUE, knot - 1, 3))
-        f = np.clip(self._quantize(f, _core.TRACK_TORQUE), -law.limit, law.limit)
+        f = self._torque(f, self.committed(remotes, core.TRACK_TORQUE, knot - 1, 3))
+        f = np.clip(self._quantize(f, core.TRACK_TORQUE), -law.limit, law.limit)
         return [
             {
-                _core.TRACK_POSITION: units.position_points(r[:, axis]),
-                _core.TRACK_TORQUE: units.torque_points(f[:, axis]),
+                core.TRACK_POSITION: units.position_points(r[:, axis]),
+                core.TRACK_TORQUE: units.torque_points(f[:, axis]),
             }
             for axis, units in enumerate(self._units)
         ]
 
     def _quantize(self, points: Array, sink: int) -> Array:
-        return np.rint(points * self._scale[sink]) / self._scale[sink]
+        quantized: Array = np.rint(points * self._scale[sink]) / self._scale[sink]
+        return quantized
 
     def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
         """The motion that the servos make of encoded points, from state `start` (2n,)."""
         n, h = self._n, self._h
-        r = np.stack([p[_core.TRACK_POSITION] for p in points], axis=1)
-        f = np.stack([p[_core.TRACK_TORQUE] for p in points], axis=1)
-        r, f = r / self._scale[_core.TRACK_POSITION], f / self._scale[_core.TRACK_TORQUE]
+        r = np.stack([p[core.TRACK_POSITION] for p in points], axis=1)
+        f = np.stack([p[core.TRACK_TORQUE] for p in points], axis=1)
+        r, f = r / self._scale[core.TRACK_POSITION], f / self._scale[core.TRACK_TORQUE]
         knots = np.hstack((at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE)))
-        middles = np.hstack((at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE)))
+        middles = np.hstack(
+            (at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE))
+        )
         call = self._prediction.rollout
         call.inputs[0][:, 0] = start
         call.inputs[1][...] = disturbance[:, None]
@@ -158,8 +164,8 @@ class Commitment:
         n = len(self._remotes)
         values = np.empty((len(times_us), 3 * n))
         for axis, remote in enumerate(self._remotes):
-            position = remote.track(_core.TRACK_POSITION).evaluate(times_us, self._shift)
-            torque = remote.track(_core.TRACK_TORQUE).evaluate(times_us, self._shift)
+            position = remote.track(core.TRACK_POSITION).evaluate(times_us, self._shift)
+            torque = remote.track(core.TRACK_TORQUE).evaluate(times_us, self._shift)
             values[:, axis] = position[0] * self._position[axis]
             values[:, n + axis] = position[1] * self._speed[axis]
             values[:, 2 * n + axis] = torque[0] * self._torque[axis]

@@ -81,6 +81,7 @@ def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSetti
     servo.velocity_tq = scale_of(0.0)
     servo.resistance_mV = scale_of(1e3 * motor.resistance_ohm / constant / units.tq_per_Nm)
     servo.emf_mV = scale_of(1e3 * constant / (units.pq_per_rad * units.knot_s))
+    servo.emf_tq = scale_of(constant**2 / motor.resistance_ohm / period_s * tq_per_pq)
     servo.supply_duty = scale_of(32768 / (1e3 * motor.supply_V))
     servo.torque_limit_tq = round(axis.torque_limit_Nm * units.tq_per_Nm)
     servo.integrate_running = device.integrate_while_running

@@ -2,8 +2,9 @@
 
 The host cannot see what arrived; it is told. Plans that the device has acknowledged are in `held`;
 plans still under way are presumed to arrive, and each status settles those it has an answer for. A
-plan that was lost or refused is dropped, and the device is then planned as what it is: continuing
-the last plan it accepted.
+plan that was lost is dropped: the next one repeats its points. When a plan is refused, those that
+were sent after it are taken to be refused as well, since they repeat its points, and the device is
+planned as what it is: continuing the last plan it accepted.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class Remote:
         self._held = {sink: _core.Track() for sink in SINKS}
         self._presumed: dict[int, _core.Track] = {}
         self._pending: list[Plan] = []
+        self._doomed = 0  # pending plans up to this number are taken to be refused
         # Send and receive times of statuses, each echoed once and in order: to echo only the
         # newest would drop the slow ones and bias the devices' clocks.
         self._echoes: deque[tuple[int, int]] = deque(maxlen=8)
@@ -65,6 +67,8 @@ class Remote:
             if behind < 32 and status.accepted_mask >> behind & 1:
                 for sink, points in plan.points.items():
                     self._held[sink].write(plan.first_knot, points)
+        if status.accepted_mask & 1 == 0 and status.plan_seen > self._doomed:
+            self._doomed = self.number
         self._presumed = {}
 
     def track(self, sink: int) -> _core.Track:
@@ -72,7 +76,8 @@ class Remote:
         if sink not in self._presumed:
             track = self._held[sink].copy()
             for plan in self._pending:
-                track.write(plan.first_knot, plan.points[sink])
+                if plan.number > self._doomed:
+                    track.write(plan.first_knot, plan.points[sink])
             self._presumed[sink] = track
         return self._presumed[sink]
 

@@ -25,7 +25,7 @@ static bool starts_here(const struct device *device) {
         if (plan->tracks & 1 << sink && (p[0] != p[1] || p[0] != p[2]))
             return false;
     }
-    int64_t measured_pq = (int64_t)device->encoder_count << SERVO_COUNT_BITS;
+    int64_t measured_pq = (int64_t)device->encoder_count * (1 << SERVO_COUNT_BITS);
     int64_t distance_pq = plan->points[TRACK_POSITION][0] - measured_pq;
     return distance_pq <= DEVICE_START_PQ && distance_pq >= -DEVICE_START_PQ;
 }
@@ -102,7 +102,9 @@ static void take_stamps(struct device *device, const struct stamps *stamps, int6
         device->state = DEVICE_IDLE;
 }
 
-static void take_packet(struct device *device, uint8_t *packet, int32_t size, uint32_t count_us) {
+// The clock's sample is as old as the packet's arrival; what is live is judged now.
+static void take_packet(struct device *device, uint8_t *packet, int32_t size, uint32_t arrived_us,
+                        uint32_t count_us) {
     size = cobs_decode(packet, size);
     if (size < 0 || frame_open(&device->session, packet, size) != FRAME_OK) {
         device->status.counters.frames_bad++;
@@ -110,13 +112,13 @@ static void take_packet(struct device *device, uint8_t *packet, int32_t size, ui
     }
     const uint8_t *payload = packet + FRAME_HEADER_BYTES;
     int32_t payload_size = size - FRAME_HEADER_BYTES - FRAME_TAG_BYTES;
-    int64_t received_us = clock_at(&device->clock, count_us);
+    int64_t received_us = clock_at(&device->clock, arrived_us);
     struct stamps stamps;
     if (packet[1] == FRAME_SYNC && sync_decode(payload, payload_size, &stamps)) {
         take_stamps(device, &stamps, received_us);
     } else if (packet[1] == FRAME_PLAN &&
                plan_decode(payload, payload_size, &stamps, &device->plan)) {
-        take_plan(device, received_us, stamps.sent_us);
+        take_plan(device, clock_at(&device->clock, count_us), stamps.sent_us);
         take_stamps(device, &stamps, received_us);
     } else {
         device->status.counters.frames_bad++;
@@ -217,7 +219,7 @@ void device_poll(struct device *device, struct board *board) {
     uint32_t arrived_us;
     int32_t size;
     while ((size = board_receive(board, packet, sizeof packet, &arrived_us)) > 0)
-        take_packet(device, packet, size, arrived_us);
+        take_packet(device, packet, size, arrived_us, board_count_us(board));
     uint32_t count_us = board_count_us(board);
     if ((int32_t)(count_us - device->next_servo_us) >= 0) {
         device->next_servo_us += device->settings.servo_period_us;

@@ -224,6 +224,7 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("velocity_tq", &servo_settings::velocity_tq)
         .def_rw("resistance_mV", &servo_settings::resistance_mV)
         .def_rw("emf_mV", &servo_settings::emf_mV)
+        .def_rw("emf_tq", &servo_settings::emf_tq)
         .def_rw("supply_duty", &servo_settings::supply_duty)
         .def_rw("torque_limit_tq", &servo_settings::torque_limit_tq)
         .def_rw("integrate_running", &servo_settings::integrate_running);

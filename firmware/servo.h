@@ -13,6 +13,7 @@
 #define SERVO_INTEGRAL_BITS 6 // the integral is held in tq / 2^6
 #define SERVO_TORQUE_MAX (1 << 25)
 #define SERVO_DUTY_MAX 32767
+#define SERVO_FILTER_PERIODS 8
 
 struct servo_settings {
     struct scale kp_tq;         // torque per following error [tq/pq]
@@ -21,6 +22,7 @@ struct servo_settings {
     struct scale velocity_tq;   // torque per speed of the track [tq knot/pq]
     struct scale resistance_mV; // voltage per torque: R / (Kt gear) [mV/tq]
     struct scale emf_mV;        // voltage per speed of the track: Ke gear [mV knot/pq]
+    struct scale emf_tq;        // torque that the back-EMF adds per error difference [tq/pq]
     struct scale supply_duty;   // duty per voltage: 1 / supply [1/mV]
     int32_t torque_limit_tq;    // output ceiling, <= SERVO_TORQUE_MAX
     bool integrate_running;     // else the integral rests while a plan runs
@@ -29,10 +31,11 @@ struct servo_settings {
 struct servo {
     bool primed; // `error_pq` is valid
     int32_t error_pq;
-    int32_t integral; // tq / 2^6
-    int32_t unclipped_tq;
-    int32_t torque_tq; // after the ceiling
-    bool saturated;    // torque ceiling or voltage reached
+    int32_t integral;       // tq / 2^6
+    int32_t difference_sum; // of error differences, a first-order low-pass over 8 periods
+    int32_t unclipped_tq;   // what is asked for, back-EMF's share included
+    int32_t torque_tq;      // after the ceiling
+    bool saturated;         // torque ceiling or voltage reached
 };
 
 // What the tracks ask for at this instant.

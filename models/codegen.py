@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def compile_functions(name: str, functions: list[ca.Function]) -> dict[str, ca.F
     for function in functions:
         generator.add(function)
     source = generator.dump()
-    digest = hashlib.sha256((source + ca.__version__).encode()).hexdigest()[:20]
+    digest = hashlib.sha256((source + ca.CasadiMeta.version()).encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
     if not library.exists():
         _build(name, source, library)
@@ -67,12 +68,12 @@ class Call:
         self.outputs: list[NDArray[np.float64]] = []
         for i in range(function.n_in()):
             self.inputs.append(np.zeros(function.size_in(i), order="F"))
-            self._buffer.set_arg(i, memoryview(self.inputs[i].T))
+            self._buffer.set_arg(i, memoryview(self.inputs[i].T))  # type: ignore[call-arg, arg-type]
         for i in range(function.n_out()):
             if not function.sparsity_out(i).is_dense():
                 raise ValueError(f"output {i} of {function.name()} is sparse; densify it")
             self.outputs.append(np.zeros(function.size_out(i), order="F"))
-            self._buffer.set_res(i, memoryview(self.outputs[i].T))
+            self._buffer.set_res(i, memoryview(self.outputs[i].T))  # type: ignore[call-arg, arg-type]
 
     def run(self) -> list[NDArray[np.float64]]:
         """Evaluates; returns `outputs`, which the next run overwrites."""

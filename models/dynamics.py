@@ -55,7 +55,9 @@ class Tree:
             )
         self.parent = [int(model.parents[j + 1]) - 1 for j in range(self.count)]
         self.placement = [model.jointPlacements[j + 1] for j in range(self.count)]
-        self.axis = [np.array(model.joints[j + 1].createData().S).ravel() for j in range(self.count)]
+        self.axis = [
+            np.array(model.joints[j + 1].createData().S).ravel() for j in range(self.count)
+        ]
         self.inertia = [np.array(model.inertias[j + 1].matrix()) for j in range(self.count)]
         self.armature = np.array(model.armature)
         self.damping = np.array(model.damping)
@@ -74,7 +76,9 @@ class Tree:
 
 def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
     """Joint torques [Nm or N] that give accelerations `a`: RNEA with armature and damping."""
-    transforms, velocity, force = [], [], []
+    transforms: list[Any] = []
+    velocity: list[Any] = []
+    force: list[Any] = []
     acceleration: list[Any] = []
     for j in range(tree.count):
         s, x = ca.SX(tree.axis[j]), tree.transform(j, q[j])
@@ -98,7 +102,9 @@ def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
 def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:
     """Joint accelerations under joint torques `tau`: ABA with armature and damping."""
     n = tree.count
-    transforms, velocity, bias_acceleration = [], [], []
+    transforms: list[Any] = []
+    velocity: list[Any] = []
+    bias_acceleration: list[Any] = []
     inertia: list[Any] = []
     bias: list[Any] = []
     for j in range(n):

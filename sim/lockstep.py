@@ -32,7 +32,9 @@ REST_S = 0.5  # simulated after the last message, to see the machine come to res
 class SimLink:
     """The simulated network as the loop sees it."""
 
-    def __init__(self, config: Config, plant: Plant, epoch_us: int, seeds: list[np.random.Generator]):
+    def __init__(
+        self, config: Config, plant: Plant, epoch_us: int, seeds: list[np.random.Generator]
+    ):
         n = len(plant.nodes)
         self._plant, self._epoch_us, self._mailbox = plant, epoch_us, Mailbox()
         self.to_device = [Wire(config.sim.to_device, rng) for rng in seeds[:n]]

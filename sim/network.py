@@ -19,7 +19,7 @@ class Wire:
     def carry(self, sent_us: int) -> int | None:
         """Arrival time of a packet sent at `sent_us`, or None if it is lost."""
         c = self._channel
-        lost, late, jitter = self._rng.random(3)
+        lost, late, jitter = self._rng.random(3).tolist()
         self.sent += 1
         if lost < c.loss:
             self.lost += 1

@@ -16,6 +16,8 @@ INT32_MAX = (1 << 31) - 1
 COUNT_PQ = 1 << _core.COUNT_BITS
 COUNT_MAX = (1 << (30 - _core.COUNT_BITS)) - 1
 PERIOD_S = 1e-3
+SERVO_ERROR_MAX = (1 << 29) - 1
+FILTER_PERIODS = 8
 
 Floats = NDArray[np.float64]
 
@@ -90,6 +92,7 @@ class ExactServo:
     settings: _core.ServoSettings
     error: int | None = None
     integral: int = 0
+    differences: int = 0
     unclipped: int = 0
     torque: int = 0
     saturated: bool = False
@@ -99,7 +102,7 @@ class ExactServo:
             return (a * scale.mantissa) >> scale.shift
 
         s = self.settings
-        error = clamp(position - clamp(count, COUNT_MAX) * COUNT_PQ, (1 << 30) - 1)
+        error = clamp(position - clamp(count, COUNT_MAX) * COUNT_PQ, SERVO_ERROR_MAX)
         difference = 0 if self.error is None else error - self.error
         self.error = error
         pushes = (error > 0) == (self.unclipped > 0)
@@ -107,7 +110,11 @@ class ExactServo:
             limit = min(s.torque_limit_tq << _core.INTEGRAL_BITS, INT32_MAX)
             increment = clamp(product(error, s.ki_tq), 1 << 28)
             self.integral = clamp(self.integral + increment, limit)
+        self.differences += difference - int(Fraction(self.differences, FILTER_PERIODS))
+        average = int(Fraction(self.differences, FILTER_PERIODS))  # towards zero, as in C
+        emf = clamp(product(average, s.emf_tq), 1 << 27)
         terms = (
+            emf,
             product(error, s.kp_tq),
             product(difference, s.kd_tq),
             product(velocity, s.velocity_tq),
@@ -116,7 +123,7 @@ class ExactServo:
         self.unclipped = sum(clamp(t, 1 << 27) for t in terms)
         self.unclipped += self.integral >> _core.INTEGRAL_BITS
         self.torque = clamp(self.unclipped, s.torque_limit_tq)
-        voltage = clamp(product(self.torque, s.resistance_mV), 1 << 20)
+        voltage = clamp(product(self.torque - emf, s.resistance_mV), 1 << 20)
         voltage += clamp(product(velocity, s.emf_mV), 1 << 20)
         duty = product(voltage, s.supply_duty)
         clipped = clamp(duty, _core.DUTY_MAX)
@@ -132,7 +139,7 @@ steps = st.lists(st.tuples(positions, int32s, int32s, counts, st.booleans()), ma
 
 
 @given(
-    st.tuples(*[scales] * 7),
+    st.tuples(*[scales] * 8),
     st.integers(1, 1 << 25) | st.sampled_from([1, (1 << 25) - 1, 1 << 25]),
     steps,
 )
@@ -141,7 +148,8 @@ def test_servo_is_exact_at_any_input(
     limit: int,
     inputs: list[tuple[int, int, int, int, bool]],
 ) -> None:
-    names = ("kp_tq", "ki_tq", "kd_tq", "velocity_tq", "resistance_mV", "emf_mV", "supply_duty")
+    names = ("kp_tq", "ki_tq", "kd_tq", "velocity_tq", "resistance_mV", "emf_mV", "emf_tq")
+    names = (*names, "supply_duty")
     settings = servo_settings(**dict(zip(names, factors, strict=True)), torque_limit_tq=limit)
     servo, exact = _core.Servo(), ExactServo(settings)
     for position, velocity, torque, count, integrate in inputs:
@@ -162,8 +170,37 @@ def test_encoder_jump_from_end_to_end() -> None:
         servo = _core.Servo()
         servo.step(settings, sign * _core.POINT_MAX, 0, 0, -sign * INT32_MAX)
         servo.step(settings, -sign * _core.POINT_MAX, 0, 0, sign * INT32_MAX)
-        # error + to -(2^30 - 1), then 1 / 2^10 of the difference, rounded down
-        assert servo.unclipped_tq == (-sign * ((1 << 31) - 2)) >> 10
+        # from one largest error to the other: 1 / 2^10 of their difference, rounded down
+        assert servo.unclipped_tq == (-sign * 2 * SERVO_ERROR_MAX) >> 10
+
+
+def test_encoder_that_jumps_to_and_fro_for_ever() -> None:
+    """The sum of differences is the largest: each jump adds to what is left of the last ones."""
+    settings = servo_settings(emf_tq=_core.Scale(1, 10), torque_limit_tq=1 << 25)
+    servo, exact = _core.Servo(), ExactServo(settings)
+    for period in range(200):
+        end = 1 if period // (1 + period // 20) % 2 else -1
+        inputs = (end * _core.POINT_MAX, 0, 0, -end * INT32_MAX)
+        servo.step(settings, *inputs)
+        exact.step(*inputs, integrate=True)
+        assert servo.unclipped_tq == exact.unclipped
+    assert abs(exact.differences) < 1 << 31
+
+
+@given(st.lists(st.integers(-2000, 2000), min_size=1, max_size=40))
+def test_back_emf_of_the_speed_error_is_compensated(counts: list[int]) -> None:
+    """It counts as torque, but the voltage that it makes by itself is left out."""
+    settings = servo_settings(
+        emf_tq=_core.Scale(3, 4), resistance_mV=_core.Scale(1, 8), supply_duty=_core.Scale(1, 6)
+    )
+    servo, low_pass = _core.Servo(), Fraction(0)
+    for last, count in zip([counts[0], *counts], counts, strict=False):
+        low_pass += (last - count) * COUNT_PQ - low_pass / FILTER_PERIODS
+        duty = servo.step(settings, 0, 0, 5000, count)
+        emf = low_pass / FILTER_PERIODS * Fraction(3, 16)
+        assert abs(servo.unclipped_tq - (5000 + emf)) < 3
+        if not servo.saturated:
+            assert abs(duty - Fraction(5000, 1 << 14)) < 2
 
 
 # ---- the ceiling and the voltage

@@ -1,0 +1,25 @@
+"""The firmware's numbers and kernels that the host's side works with: one definition, in C."""
+
+from headway.firmware._core import (
+    COAST_KNOTS,
+    LIVE_KNOTS,
+    PLAN_POINTS_MAX,
+    STATES,
+    TRACK_POSITION,
+    TRACK_TORQUE,
+    GateLimits,
+    Track,
+    gate_check_track,
+)
+
+__all__ = [
+    "COAST_KNOTS",
+    "LIVE_KNOTS",
+    "PLAN_POINTS_MAX",
+    "STATES",
+    "TRACK_POSITION",
+    "TRACK_TORQUE",
+    "GateLimits",
+    "Track",
+    "gate_check_track",
+]

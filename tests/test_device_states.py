@@ -1,0 +1,744 @@
+"""The whole device, run against a host session: what it does with time, plans, losses and lies."""
+
+import random
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from headway.firmware import _core
+from headway.sim import _board
+
+KEY, SESSION = bytes(range(100, 116)), 0xC0FFEE
+SHIFT, KNOT_US = 12, 4096
+POLL_US, PERIOD_US = 250, 1000
+COUNT_PQ = 1 << _core.COUNT_BITS
+UNSYNCED, IDLE, RUNNING, COAST, HOLD = range(5)
+assert _core.STATES == ["UNSYNCED", "IDLE", "RUNNING", "COAST", "HOLD"]
+POSITION, TORQUE, KP, KD = (
+    *(_core.TRACK_POSITION, _core.TRACK_TORQUE),
+    *(_core.TRACK_KP, _core.TRACK_KD),
+)
+
+Points = list[int]
+Plan = dict[int, Points]
+
+
+def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
+    """A quarter of a torque quantum per pq, 1 mV per 1024 tq, a duty of one per mV."""
+    servo = _core.ServoSettings()
+    servo.kp_tq = _core.Scale(1, 2)
+    servo.ki_tq = _core.Scale(1, 0)
+    servo.resistance_mV = _core.Scale(1, 10)
+    servo.supply_duty = _core.Scale(1, 0)
+    servo.torque_limit_tq = 1 << 24
+    settings = _core.DeviceSettings()
+    settings.key, settings.session, settings.servo = KEY, SESSION, servo
+    settings.knot_shift, settings.servo_period_us = SHIFT, PERIOD_US
+    settings.sample_every = sample_every
+    settings.set_limits(POSITION, _core.GateLimits(-(1 << 28), 1 << 28, 1 << 20, 1 << 18))
+    settings.set_limits(TORQUE, _core.GateLimits(-(1 << 20), 1 << 20, 1 << 21, 1 << 22))
+    settings.set_limits(KP, _core.GateLimits(0, 1 << 24, 1 << 24, 1 << 25))
+    return settings
+
+
+class Rig:
+    """A node, a host and a wire of constant delay; true time runs in polls of 250 us."""
+
+    def __init__(
+        self,
+        epoch_us: int = 1_700_000_000_000_123,
+        count_offset: int = 12_345,
+        delay_us: int = 1000,
+        sample_every: int = 1,
+    ) -> None:
+        self.memory = np.zeros(_board.NODE_NUMBERS)
+        self.node = _board.Node(self.memory)
+        self.node.flash(device_settings(sample_every), count_offset)
+        self.host = _core.Session(KEY, SESSION)
+        self.epoch_us, self.delay_us = epoch_us, delay_us
+        self.now = 0  # true time
+        self.syncing = True
+        self.stamps = (0, 0)
+        self.number = 0
+        self.flying: list[tuple[int, bytes]] = []
+        self.statuses: list[_core.Status] = []
+        self.encoder: Callable[[int], int] = lambda true_us: 0
+
+    @property
+    def host_us(self) -> int:
+        return self.epoch_us + self.now
+
+    @property
+    def knot(self) -> int:
+        """The knot whose interval runs on the device."""
+        return self.node.system_us(self.now) >> SHIFT
+
+    def poll(self) -> None:
+        self.now += POLL_US
+        self.node.poll(self.now, self.encoder(self.now))
+        self.flying += [(t + self.delay_us, packet) for t, packet in self.node.collect()]
+        for arrival, packet in [f for f in self.flying if f[0] <= self.now]:
+            kind, payload = self.host.open(packet)
+            assert kind == _core.FRAME_STATUS
+            status = _core.status_decode(payload)
+            assert status is not None
+            self.statuses.append(status)
+            self.stamps = (status.sent_us, self.epoch_us + arrival)
+        self.flying = [f for f in self.flying if f[0] > self.now]
+        if self.syncing and self.now % 4000 == 0:
+            payload = _core.sync_encode((*self.stamps, self.host_us))
+            self.node.deliver(self.now + self.delay_us, self.host.seal(_core.FRAME_SYNC, payload))
+
+    def run(self, us: int) -> None:
+        for _ in range(us // POLL_US):
+            self.poll()
+
+    def run_to_knot(self, knot: int) -> None:
+        """To the first poll in or after the knot's interval."""
+        assert self.knot <= knot
+        while self.knot < knot:
+            self.poll()
+
+    def sync(self) -> "Rig":
+        while not self.node.synced:
+            assert self.now < 1_000_000
+            self.poll()
+        self.run(100_000)
+        return self
+
+    def plan(self, first_knot: int, tracks: Plan, number: int | None = None) -> bytes:
+        self.number = self.number + 1 if number is None else number
+        arrays = {s: np.array(p, dtype=np.int32) for s, p in tracks.items()}
+        stamps = (0, 0, self.host_us)
+        payload = _core.plan_encode(stamps, self.number, first_knot, arrays)
+        return self.host.seal(_core.FRAME_PLAN, payload)
+
+    def give(self, first_knot: int, tracks: Plan, number: int | None = None) -> str:
+        """Delivers a plan at once; returns the gate's result."""
+        return self.hand_over(self.plan(first_knot, tracks, number))
+
+    def hand_over(self, packet: bytes) -> str:
+        """Delivers a plan's packet at once; returns the gate's result."""
+        before = self.node.status
+        # Between servo periods: nothing but the packet happens.
+        self.node.deliver(self.now, packet)
+        self.node.poll(self.now, self.encoder(self.now))
+        after = self.node.status
+        assert after.frames_bad == before.frames_bad
+        if after.plans_accepted > before.plans_accepted:
+            return "accepted"
+        refused = (before.plans_late + before.plans_refused) + 1
+        assert after.plans_late + after.plans_refused == refused
+        reason = _core.GATE_RESULTS[after.refusal]
+        assert (after.plans_late > before.plans_late) == (reason == "late")
+        return reason
+
+    def start(self, count: int = 30, position: int = 0) -> int:
+        """Takes up a first plan at rest; returns its first knot."""
+        first = self.knot + _core.LIVE_KNOTS
+        assert self.give(first, {POSITION: [position] * count, TORQUE: [0] * count}) == "accepted"
+        return first
+
+    def setpoints(self, low_knot: int, high_knot: int) -> list[tuple[int, int, int]]:
+        """Position, rate and torque of the device's tracks, eight to a knot."""
+        times = range(low_knot << SHIFT, high_knot << SHIFT, KNOT_US // 8)
+        return [self.node.setpoint(t) for t in times]
+
+
+def ramp(first: int, start: int, count: int = 12) -> Points:
+    """At rest, a move of 2^17, at rest."""
+    step = 1 << 14
+    points = [start] * first + [start + step * i for i in range(1, 9)]
+    return points + [points[-1]] * max(3, count - len(points))
+
+
+# ---- sync
+
+
+@pytest.mark.parametrize("epoch_us", [0, 300_000, 10**9, 1_700_000_000_000_123])
+@pytest.mark.parametrize("delay_us", [0, 1000, 9000])
+def test_syncs_to_the_hosts_time(epoch_us: int, delay_us: int) -> None:
+    """However far the first step is: frames that were under way across it must not count."""
+    rig = Rig(epoch_us, count_offset=(1 << 32) - 60_000, delay_us=delay_us)
+    rig.poll()
+    while not rig.node.synced:
+        assert rig.now < 1_000_000
+        assert rig.node.state == UNSYNCED
+        assert rig.node.brake and rig.node.duty_q15 == 0
+        rig.poll()
+    assert rig.node.state == IDLE
+    # A frame may wait for the next poll on the host's side: half of 250 us.
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
+    rig.run(1_000_000)
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
+    assert rig.statuses[-1].synced and rig.statuses[-1].state == IDLE
+    assert not rig.statuses[0].synced
+    assert rig.node.dropped == 0
+
+
+def test_stays_unsynced_without_stamps() -> None:
+    rig = Rig()
+    rig.syncing = False
+    rig.run(300_000)
+    assert rig.node.state == UNSYNCED
+    for _ in range(200):  # authentic frames without a status' stamps
+        rig.node.deliver(
+            rig.now, rig.host.seal(_core.FRAME_SYNC, _core.sync_encode((0, 0, rig.host_us)))
+        )
+        rig.run(500)
+    assert rig.node.state == UNSYNCED
+    assert not rig.statuses[-1].synced
+    assert rig.statuses[-1].frames_bad == 0
+
+
+def test_takes_no_plan_unsynced() -> None:
+    rig = Rig(epoch_us=0, count_offset=0)  # even if the clocks happen to agree
+    rig.syncing = False
+    rig.run(20_000)
+    assert rig.give(rig.knot + 5, {POSITION: [0] * 5}) == "state"
+    assert rig.node.state == UNSYNCED
+    assert rig.node.status.plan_seen == 1
+    assert rig.node.status.plan_accepted == 0
+    rig.run(100_000)
+    assert rig.node.brake and rig.node.duty_q15 == 0
+
+
+# ---- the first plan
+
+
+@pytest.mark.parametrize("count", [0, 1000, -70_000])
+def test_first_plan_starts_at_the_measured_position(count: int) -> None:
+    for excess, verdict in ((-1, "accepted"), (0, "accepted"), (1, "start")):
+        for sign in (-1, 1):
+            rig = Rig(sample_every=3)
+            rig.encoder = lambda true_us: count
+            rig.sync()
+            point = count * COUNT_PQ + sign * (64 * COUNT_PQ + excess)
+            assert rig.give(rig.knot + 4, {POSITION: [point] * 4}) == verdict
+            assert rig.node.state == (RUNNING if verdict == "accepted" else IDLE)
+
+
+@pytest.mark.parametrize("sink", [POSITION, TORQUE])
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_first_plan_starts_at_rest(sink: int, length: int) -> None:
+    rig = Rig().sync()
+    tracks = {POSITION: [0] * 8, TORQUE: [100] * 8}
+    tracks[sink] = [p + 1 for p in tracks[sink][:length]] + tracks[sink][length:]
+    verdict = "accepted" if length == 3 else "start"
+    assert rig.give(rig.knot + 4, tracks) == verdict
+
+
+@pytest.mark.parametrize("ahead", range(0, 6))
+def test_first_plan_is_ahead(ahead: int) -> None:
+    rig = Rig().sync()
+    verdict = rig.give(rig.knot + ahead, {POSITION: [0] * 4})
+    assert verdict == ("accepted" if ahead >= _core.LIVE_KNOTS else "late")
+
+
+@pytest.mark.parametrize("tracks", [{TORQUE: [0] * 4}, {POSITION: [0] * 4, KD: [0] * 4}])
+def test_plan_has_a_position_and_only_tracks_with_limits(tracks: Plan) -> None:
+    rig = Rig().sync()
+    assert rig.give(rig.knot + 4, tracks) == "sink"
+    assert rig.node.state == IDLE
+
+
+@pytest.mark.parametrize("ahead", [3, 4, 11])
+def test_brake_is_released_at_the_plans_first_knot(ahead: int) -> None:
+    rig = Rig().sync()
+    first = rig.knot + ahead
+    torque = 50_000
+    assert rig.give(first, {POSITION: [0] * 60, TORQUE: [torque] * 60}) == "accepted"
+    while rig.node.brake:
+        assert rig.node.duty_q15 == 0
+        assert rig.node.system_us(rig.now) < (first << SHIFT) + PERIOD_US
+        rig.poll()
+    assert first << SHIFT <= rig.node.system_us(rig.now) < (first << SHIFT) + PERIOD_US
+    assert rig.node.duty_q15 == torque >> 10  # the holding torque is there at once
+    for _ in range(400):
+        rig.poll()
+        assert not rig.node.brake
+
+
+# ---- running
+
+
+def test_runs_its_tracks() -> None:
+    """The servo's torque is kp times the error plus feed-forward, at each period's time."""
+    rig = Rig().sync()
+    first = rig.start()
+    position = ramp(8, 0, 40)
+    torque = [0, 0, 0, *(100 * p for p in range(3, 37)), *[3600] * 3]
+    assert rig.give(first, {POSITION: position, TORQUE: torque}) == "accepted"
+    reference = _core.Track(), _core.Track()
+    for track, points in zip(reference, (position, torque), strict=True):
+        track.write(first, np.array(points, dtype=np.int32))
+    rig.run_to_knot(first + 1)
+    moved = 0
+    for _ in range(400):
+        rig.poll()
+        if rig.now % PERIOD_US:
+            continue
+        time = np.array([rig.node.system_us(rig.now)])
+        at = int(reference[0].evaluate(time, SHIFT)[0][0])
+        middle = int(reference[1].evaluate(time + PERIOD_US // 2, SHIFT)[0][0])
+        assert rig.node.torque_tq == (at >> 2) + middle
+        moved = max(moved, at)
+    assert moved > 1 << 16
+
+
+def test_coasts_and_holds_without_plans() -> None:
+    """More than 5 knots without a plan: COAST; the plan runs on to its rest: HOLD."""
+    rig = Rig().sync()
+    first = rig.start(3)
+    taken = rig.knot
+    points = ramp(3, 0, 30)
+    tracks = {POSITION: points, TORQUE: [0] * 3 + [700] * (len(points) - 3)}
+    assert rig.give(first, tracks) == "accepted"
+    end = first + len(points) - 1
+    expected = rig.setpoints(first, end + 5)
+    states = {}
+    for _ in range(60 * KNOT_US // POLL_US):
+        rig.poll()
+        states.setdefault(rig.node.state, rig.node.system_us(rig.now))
+    # each on the first servo period of its knot
+    coast, hold = taken + _core.COAST_KNOTS + 1, end - 1
+    assert 0 <= states[COAST] - (coast << SHIFT) < PERIOD_US
+    assert 0 <= states[HOLD] - (hold << SHIFT) < PERIOD_US
+    assert list(states) == [RUNNING, COAST, HOLD]
+    assert rig.node.status.coasts == 1
+    assert rig.statuses[-1].coasts == 1 and rig.statuses[-1].state == HOLD
+    # the curve went on as planned, and holds with the last torque
+    assert rig.setpoints(first, end + 5) == expected
+    assert rig.node.setpoint((end - 1) << SHIFT) == (points[-1], 0, 700)
+    assert rig.node.setpoint((end + 1000) << SHIFT) == (points[-1], 0, 700)
+    assert not rig.node.brake
+
+
+def test_no_coast_while_plans_arrive() -> None:
+    rig = Rig().sync()
+    first = rig.start(12)
+    for _ in range(8):
+        rig.run_to_knot(rig.knot + _core.COAST_KNOTS)  # the longest wait that is allowed
+        assert rig.node.state == RUNNING
+        end = rig.knot + 12
+        tracks = {POSITION: [0] * (end - first + 1), TORQUE: [0] * (end - first + 1)}
+        assert rig.give(first, tracks) == "accepted"
+    assert rig.node.status.coasts == 0
+    rig.run_to_knot(rig.knot + _core.COAST_KNOTS + 1)
+    rig.run(PERIOD_US)
+    assert rig.node.state == COAST
+
+
+def test_a_fresh_plan_in_coast_resumes() -> None:
+    rig = Rig().sync()
+    first = rig.start(30)
+    rig.run_to_knot(rig.knot + 10)
+    assert rig.node.state == COAST
+    # refused ones do not
+    assert rig.give(first, {POSITION: [0] * 30, TORQUE: [0] * 30}, number=1) == "stale"
+    changed = [0] * (rig.knot + 2 - first) + [1] * 20
+    assert rig.give(first, {POSITION: changed, TORQUE: [0] * len(changed)}) == "late"
+    assert rig.node.state == COAST
+    assert rig.give(first, {POSITION: [0] * 40, TORQUE: [0] * 40}) == "accepted"
+    assert rig.node.state == RUNNING
+    rig.run_to_knot(rig.knot + _core.COAST_KNOTS)
+    assert rig.node.state == RUNNING
+    rig.run_to_knot(rig.knot + 1)
+    rig.run(PERIOD_US)
+    assert rig.node.state == COAST
+    assert rig.node.status.coasts == 2
+
+
+def test_hold_takes_no_plan() -> None:
+    rig = Rig().sync()
+    first = rig.start(10)
+    rig.run_to_knot(first + 20)
+    assert rig.node.state == HOLD
+    before = rig.setpoints(first, first + 60)
+    for position in ([0] * 60, [0] * 40 + [9] * 20):
+        assert rig.give(first, {POSITION: position, TORQUE: [0] * 60}) == "state"
+    assert rig.node.state == HOLD
+    assert rig.setpoints(first, first + 60) == before
+    assert rig.node.status.plans_accepted == 1
+
+
+def test_integrator_works_in_hold_alone() -> None:
+    rig = Rig().sync()
+    rig.encoder = lambda true_us: 1  # one count of following error
+    first = rig.start(10)
+    rig.run_to_knot(first + 1)
+    proportional = -COUNT_PQ >> 2
+    while rig.node.state != HOLD:
+        assert rig.node.torque_tq == proportional
+        rig.poll()
+    began = rig.node.torque_tq
+    assert proportional - COUNT_PQ // 64 <= began <= proportional  # no bump
+    rig.run(100 * PERIOD_US)
+    assert rig.node.torque_tq == began - 100 * COUNT_PQ // 64
+
+
+def test_gain_track_replaces_the_settings() -> None:
+    rig = Rig().sync()
+    rig.encoder = lambda true_us: -16
+    first = rig.knot + 4
+    gains = [3 << 8] * 6 + [5 << 8] * 12
+    assert rig.give(first, {POSITION: [0] * 18, KP: gains}) == "accepted"
+    rig.run_to_knot(first)
+    assert rig.node.torque_tq == 3 * 16 * COUNT_PQ >> 2
+    rig.run_to_knot(first + 12)
+    rig.run(PERIOD_US)
+    assert rig.node.torque_tq == 5 * 16 * COUNT_PQ >> 2
+
+
+# ---- all or nothing
+
+
+def rings(rig: Rig, values: Points) -> np.ndarray:
+    """The bytes of the tracks: from the first to the last ring that a resting value fills."""
+    numbers = rig.memory.view(np.int32)
+    whole = np.ones(_core.TRACK_POINTS)
+    starts = [
+        int(np.flatnonzero(np.convolve(numbers == v, whole) == len(whole))[0]) - len(whole) + 1
+        for v in values
+    ]
+    return numbers[min(starts) - 8 : max(starts) + len(whole)]  # with `written` and `end`
+
+
+def test_a_plan_is_taken_whole_or_not_at_all() -> None:
+    rig = Rig()
+    rig.encoder = lambda true_us: 3
+    rig.sync()
+    first, rest = rig.knot + 4, 3 * COUNT_PQ
+    assert rig.give(first, {POSITION: [rest] * 30, TORQUE: [77] * 30}) == "accepted"
+    tracks = rings(rig, [rest, 77])
+    before = tracks.copy()
+    rig.run_to_knot(first)
+    position, torque = ramp(10, rest, 30), [77] * 20 + [(1 << 20) + 1] * 10
+    assert rig.give(first, {POSITION: position, TORQUE: torque}) == "range"
+    assert np.array_equal(tracks, before)
+    late = [rest + 1, *position[1:]]
+    assert rig.give(first, {POSITION: late, TORQUE: [77] * 15 + [90] * 15}) == "late"
+    assert np.array_equal(tracks, before)
+    torque[20:] = [1 << 20] * 10
+    assert rig.give(first, {POSITION: position, TORQUE: torque}) == "accepted"
+    assert not np.array_equal(tracks, before)
+    assert rig.node.setpoint((first + 40) << SHIFT) == (position[-1], 0, 1 << 20)
+
+
+@pytest.mark.parametrize("ahead", range(0, 7))
+def test_only_points_three_knots_ahead_change(ahead: int) -> None:
+    rig = Rig().sync()
+    first = rig.start(40)
+    rig.run_to_knot(first + 10)
+    at = rig.knot + ahead - first
+    position = [0] * at + [5] * (40 - at)
+    before = rig.setpoints(first, rig.knot + 1)
+    verdict = rig.give(first, {POSITION: position, TORQUE: [0] * 40})
+    assert verdict == ("accepted" if ahead >= 3 else "late")
+    assert rig.setpoints(first, rig.knot + 1) == before
+
+
+def test_a_packet_is_judged_when_it_is_taken() -> None:
+    """It arrives in one knot's interval and is polled in the next: the later one counts."""
+    rig = Rig().sync()
+    first = rig.start(40)
+    rig.run_to_knot(first + 10)
+    target = rig.knot + 1
+    while rig.node.system_us(rig.now + POLL_US) >> SHIFT < target:
+        rig.poll()
+    assert rig.knot == target - 1
+    at = rig.knot + 3 - first
+    packet = rig.plan(first, {POSITION: [0] * at + [5] * 20, TORQUE: [0] * (at + 20)})
+    rig.node.deliver(rig.now + 1, packet)  # still in the older knot
+    assert rig.node.system_us(rig.now + 1) >> SHIFT == target - 1
+    rig.poll()
+    assert rig.knot == target
+    assert rig.node.status.plans_late == 1
+
+
+def test_a_track_cannot_appear_while_others_run() -> None:
+    """It would jump from nothing to its first point at once, before the margin."""
+    rig = Rig().sync()
+    first = rig.knot + 4
+    assert rig.give(first, {POSITION: [0] * 40}) == "accepted"
+    rig.run_to_knot(first + 10)
+    before = rig.node.setpoint(rig.knot << SHIFT)
+    later = rig.knot + 5
+    tracks = {POSITION: [0] * 20, TORQUE: [9000] * 20}
+    assert rig.give(later, tracks) == "start"
+    assert rig.node.setpoint(rig.knot << SHIFT) == before
+
+
+# ---- numbers, freshness and what the host is told
+
+
+def test_stale_numbers() -> None:
+    rig = Rig().sync()
+    first = rig.start(40)
+    tracks = {POSITION: [0] * 40, TORQUE: [0] * 40}
+    for number, verdict in ((1, "stale"), (0, "stale"), (5, "accepted"), (5, "stale")):
+        assert rig.give(first, tracks, number) == verdict
+    for number, verdict in ((4, "stale"), (6, "accepted"), (2**32 - 1, "accepted"), (7, "stale")):
+        assert rig.give(first, tracks, number) == verdict
+    assert rig.node.status.plan_seen == rig.node.status.plan_accepted == 2**32 - 1
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_stale_stamps(sign: int) -> None:
+    rig = Rig().sync()
+    first = rig.start(60)
+    tracks = {POSITION: [0] * 60, TORQUE: [0] * 60}
+    arrays = {s: np.array(p, dtype=np.int32) for s, p in tracks.items()}
+    now = rig.node.system_us(rig.now)
+    for age, verdict in ((100_000, "accepted"), (100_001, "stale"), (1 << 59, "stale")):
+        rig.number += 1
+        payload = _core.plan_encode((0, 0, now - sign * age), rig.number, first, arrays)
+        assert rig.hand_over(rig.host.seal(_core.FRAME_PLAN, payload)) == verdict
+
+
+@settings(max_examples=80)
+@given(st.integers(0, 2**32))
+def test_mask_tells_which_plans_were_taken(seed: int) -> None:
+    """Plans are lost, refused and skipped at random; the mask is right about the last 32."""
+    rng = random.Random(seed)
+    rig = synced_rig()
+    first = rig.start(100)
+    rig.run_to_knot(first)  # so that its first point is live
+    taken = {rig.number}
+    seen = accepted = rig.number
+    for _ in range(60):
+        number = rig.number + rng.choice([1, 1, 1, 1, 2, 7, 31, 32, 33, 40])
+        good = rng.random() < 0.7
+        points = [0 if good else 1] + [0] * 99
+        packet = rig.plan(first, {POSITION: points, TORQUE: [0] * 100}, number)
+        if rng.random() < 0.4:
+            continue  # lost
+        assert rig.hand_over(packet) == ("accepted" if good else "late")
+        seen = number
+        if good:
+            taken.add(number)
+            accepted = number
+        status = rig.node.status
+        assert status.plan_seen == seen
+        assert status.plan_accepted == accepted
+        expected = sum(1 << i for i in range(32) if seen - i in taken)
+        assert status.accepted_mask == expected
+
+
+_SYNCED: list[tuple[np.ndarray, Rig]] = []
+
+
+def synced_rig() -> Rig:
+    """A copy of one synced rig: the node's whole state is the array."""
+    if not _SYNCED:
+        rig = Rig().sync()
+        _SYNCED.append((rig.memory.copy(), rig))
+    memory, origin = _SYNCED[0]
+    rig = Rig()
+    rig.memory[:] = memory
+    rig.now, rig.stamps = origin.now, origin.stamps
+    rig.host.sent, rig.host.received = origin.host.sent, origin.host.received
+    return rig
+
+
+def test_state_is_the_array() -> None:
+    """A node restored from a copy goes on to the last bit as the original does."""
+    a = Rig().sync()
+    a.start(60)
+    b = Rig()
+    b.memory[:] = a.memory
+    for t in range(a.now + POLL_US, a.now + 200_000, POLL_US):
+        for rig in (a, b):
+            rig.node.poll(t, t // 1000 % 3)
+        assert a.node.collect() == b.node.collect()
+    assert np.array_equal(a.memory.view(np.int64), b.memory.view(np.int64))
+
+
+@pytest.mark.parametrize("sample_every", [1, 3])
+@pytest.mark.parametrize("delay_us", [0, 6000])
+def test_samples_arrive_in_order_and_complete(sample_every: int, delay_us: int) -> None:
+    rig = Rig(sample_every=sample_every, delay_us=delay_us)
+    rig.encoder = lambda true_us: true_us // 250 - 4000  # tells when it was read
+    rig.sync()
+    known = len(rig.statuses)
+    rig.run(1_000_000)
+    samples = [s for status in rig.statuses[known:] for s in status.samples]
+    assert len(samples) > 900_000 // (PERIOD_US * sample_every)
+    counts = [count for _, count in samples]
+    stride = 4 * sample_every
+    assert counts == list(range(counts[0], counts[0] + stride * len(counts), stride))
+    for time_us, count in samples:
+        true_us = (count + 4000) * 250
+        assert abs(time_us - (rig.epoch_us + true_us)) <= 200
+    sent = [status.sent_us for status in rig.statuses]
+    assert sent[known:] == sorted(sent[known:])
+    knots = [t >> SHIFT for t in sent[known:]]
+    assert knots == list(range(knots[0], knots[0] + len(knots)))  # one a knot
+
+
+def test_more_samples_than_can_be_sent() -> None:
+    """The ring holds 64 and a status 32: the oldest are lost, the rest stays in order."""
+    settings = device_settings()
+    settings.knot_shift, settings.servo_period_us = 15, POLL_US  # 131 samples a knot
+    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
+    node.flash(settings)
+    host = _core.Session(KEY, SESSION)
+    last, statuses = -1, 0
+    for t in range(0, 1_000_000, POLL_US):
+        node.poll(t, t // POLL_US)
+        for _, packet in node.collect():
+            status = _core.status_decode(host.open(packet)[1])
+            counts = [count for _, count in status.samples]
+            newest = t // POLL_US  # the ring's 64 end with it
+            assert counts == list(range(newest - 63, newest - 31))
+            assert [us for us, _ in status.samples] == [POLL_US * count for count in counts]
+            assert counts[0] > last
+            last = counts[-1]
+            statuses += 1
+    assert statuses == 30
+
+
+def test_torque_peak_and_clipping_are_told() -> None:
+    rig = Rig().sync()
+    first = rig.start(60)
+    rig.run_to_knot(first + 2)
+    rig.run(3 * KNOT_US)
+    assert rig.statuses[-1].torque_peak_tq == 0
+    rig.encoder = lambda true_us: -70_000  # kp: 17,920,000 tq, above the ceiling of 2^24
+    rig.run(4 * PERIOD_US)
+    rig.encoder = lambda true_us: 0
+    rig.run(5 * KNOT_US)
+    peaks = [s.torque_peak_tq for s in rig.statuses[-8:]]
+    assert max(peaks) == 70_000 * COUNT_PQ >> 2
+    assert peaks[-1] == 0  # since the last status only
+    assert rig.statuses[-1].torque_clipped == 4
+
+
+# ---- what is not authentic
+
+
+def board_at() -> int:
+    """Index of the first byte of the node that is the board's, not the device's."""
+    memory = np.zeros(_board.NODE_NUMBERS)
+    _board.Node(memory).poll(0x7EDCBA9876543210, 0)  # an empty device only brakes
+    return int(np.flatnonzero(memory.view(np.int64) == 0x7EDCBA9876543210)[0])
+
+
+def device_bytes(rig: Rig) -> np.ndarray:
+    return rig.memory.view(np.int32)[: 2 * board_at()]
+
+
+def bad_packets(rig: Rig, first: int) -> dict[str, bytes]:
+    good = rig.plan(first, {POSITION: ramp(10, 0, 40), TORQUE: [0] * 40})
+    wrong_key = _core.Session(bytes(16), SESSION)
+    wrong_session = _core.Session(KEY, SESSION + 1)
+    reflected = _core.Session(KEY, SESSION, at_device=True)
+    replayed = _core.Session(KEY, SESSION)
+    for session in (wrong_key, wrong_session, reflected):
+        session.sent = rig.host.sent + 5
+    flipped = bytearray(good)
+    flipped[40] ^= 0x80
+    payload = _core.sync_encode((0, 0, 0))
+    return {
+        "noise": bytes(range(1, 90)),
+        "zeros": bytes(50),
+        "short": b"\x01",
+        "flipped": bytes(flipped),
+        "cut": good[:-1],
+        "wrong key": wrong_key.seal(_core.FRAME_SYNC, payload),
+        "wrong session": wrong_session.seal(_core.FRAME_SYNC, payload),
+        "reflected": reflected.seal(_core.FRAME_SYNC, payload),
+        "replayed": replayed.seal(_core.FRAME_SYNC, payload),
+    }
+
+
+BAD = ("noise", "zeros", "short", "flipped", "cut", "wrong key", "wrong session")
+
+
+@pytest.mark.parametrize("kind", [*BAD, "reflected", "replayed"])
+def test_unauthentic_frames_are_counted_and_change_nothing(kind: str) -> None:
+    rig, twin = synced_rig(), synced_rig()
+    first = rig.start(40)
+    assert twin.start(40) == first
+    packet = bad_packets(rig, first)[kind]
+    for _ in range(3):
+        assert rig.node.deliver(rig.now, packet)
+    for r in (rig, twin):
+        r.node.poll(r.now, 0)
+    differing = np.flatnonzero(device_bytes(rig) != device_bytes(twin))
+    assert len(differing) == 1  # the counter
+    assert device_bytes(rig)[differing[0]] - device_bytes(twin)[differing[0]] == 3
+    assert rig.node.status.frames_bad == twin.node.status.frames_bad + 3
+    # and it still takes what is authentic
+    assert rig.give(first, {POSITION: ramp(10, 0, 40), TORQUE: [0] * 40}) == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [
+        (_core.FRAME_SYNC, b""),
+        (_core.FRAME_SYNC, bytes(23)),
+        (_core.FRAME_SYNC, bytes(25)),
+        (_core.FRAME_SYNC, b"\xff" * 7 + b"\x7f" + bytes(16)),  # a stamp of 2^63 - 1
+        (_core.FRAME_PLAN, bytes(24)),
+        (_core.FRAME_PLAN, bytes(38)),
+        (_core.FRAME_STATUS, bytes(24)),
+        (0, bytes(24)),
+        (255, bytes(24)),
+    ],
+)
+def test_malformed_payloads_are_bad_frames(kind: int, payload: bytes) -> None:
+    rig = synced_rig()
+    first = rig.start(20)
+    before = rig.setpoints(first, first + 30)
+    bad = rig.node.status.frames_bad
+    rig.node.deliver(rig.now, rig.host.seal(kind, payload))
+    rig.node.poll(rig.now, 0)
+    assert rig.node.status.frames_bad == bad + 1
+    assert rig.setpoints(first, first + 30) == before
+    assert rig.node.state == RUNNING
+
+
+# ---- the board
+
+
+def test_an_empty_board_is_off_and_braked() -> None:
+    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
+    node.poll(1000, 5)
+    assert node.brake and node.duty_q15 == 0 and node.collect() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("knot_shift", 8), ("knot_shift", 16), ("servo_period_us", 0), ("sample_every", 0)],
+)
+def test_settings_that_cannot_run_are_refused(name: str, value: int) -> None:
+    settings = device_settings()
+    setattr(settings, name, value)
+    with pytest.raises(ValueError, match="knot shift"):
+        _board.Node(np.zeros(_board.NODE_NUMBERS)).flash(settings)
+
+
+def test_array_of_the_wrong_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="too small"):
+        _board.Node(np.zeros(_board.NODE_NUMBERS - 1))
+
+
+def test_a_full_inbox_drops() -> None:
+    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
+    taken = [node.deliver(0, b"\x01") for _ in range(17)]
+    assert taken == [True] * 16 + [False]
+    assert node.dropped == 1
+    assert not node.deliver(0, bytes(2000))
+
+
+@pytest.mark.parametrize("drift_ppb", [-50_000, 50_000])
+def test_drift_of_the_counter_over_years(drift_ppb: int) -> None:
+    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
+    node.flash(device_settings(), count_offset=3, drift_ppb=drift_ppb)
+    for true_us in (10**9, 10**12, 1_700_000_000_000_000):
+        count = true_us + 3 + true_us * drift_ppb // 10**9
+        assert (node.system_us(true_us) - (count - 3)) % (1 << 32) == 0
