@@ -27,8 +27,8 @@ from headway.configs.schema import Config
 Array = NDArray[np.float64]
 
 # Shares of the torque limit that the plan may use, at its start and from its middle on: what is
-# kept back later lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
-# Zappa, Automatica 37, 2001), and leaves room for the encoding.
+# kept back later lets the next ticks correct what went wrong (constraint tightening: Chisci,
+# Rossiter, Zappa, Automatica 37, 2001), and leaves room for the encoding.
 TORQUE_SHARE_START, TORQUE_SHARE_END = 1.0, 0.85
 HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
 UNBOUNDED = 1e20

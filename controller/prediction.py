@@ -122,4 +122,5 @@ class Prediction:
     def holding(self, q: Array, disturbance: Array) -> Array:
         """Motor torques (n,) that hold the machine at rest at q (n,)."""
         still = np.zeros_like(q)[None]
-        return self.inverse_dynamics(q[None], still, still)[0] - disturbance
+        torque: Array = self.inverse_dynamics(q[None], still, still)[0] - disturbance
+        return torque

@@ -4,8 +4,8 @@ The position track r continues the committed points and closes in on the plan q*
 a penalty on the curvature of the difference, never interpolation (its recursion from the committed
 points diverges). The torque track is f = tau* - Kp (r - q*) - (Kd + c)(r' - q*'), so that f and the
 servo's own feedback sum to the planned torque with feedback around the plan. Both end in three
-equal points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical Guide to
-Splines, chapter IX.
+equal points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical
+Guide to Splines, chapter IX.
 """
 
 from __future__ import annotations

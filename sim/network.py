@@ -24,8 +24,8 @@ class Wire:
         if lost < c.loss:
             self.lost += 1
             return None
-        delay = c.delay_us + round((2 * jitter - 1) * c.jitter_us)
-        return sent_us + delay + (c.reorder_us if late < c.reorder else 0)
+        delay_us = c.delay_us + int(round((2 * jitter - 1) * c.jitter_us))
+        return sent_us + delay_us + (c.reorder_us if late < c.reorder else 0)
 
 
 class Mailbox:
