@@ -6,16 +6,18 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+SMALL, LARGE = 1e-9, 1e12  # what is beyond, in any unit, is a slip of the pen
+Positive = Annotated[float, Field(ge=SMALL, le=LARGE, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=LARGE, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-LARGE, le=LARGE, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Delay = Annotated[int, Field(ge=0, le=10_000_000)]  # us
 
 
 class Section(BaseModel):
-    """Unknown keys are errors; nothing changes after loading."""
+    """Unknown keys and wrong types are errors; nothing changes after loading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Motor(Section):
@@ -115,7 +117,13 @@ class Mpc(Section):
     position_weight: Positive = 1.0e6  # 1/rad^2
     velocity_weight: NotNegative = 2.0e2  # s^2/rad^2
     torque_step_weight: NotNegative = 0.5  # 1/Nm^2, on the change from node to node
-    torque_start_weight: NotNegative = 2.0  # 1/Nm^2, on the jump from the committed torque
+    torque_start_weight: NotNegative = 20.0  # 1/Nm^2, on the jump from the committed torque
+    # Shares of the horizon between which tracking gives way to stopping.
+    fade_start: Share = 0.35
+    fade_end: Share = 0.65
+    # Share of the torque limit that is planned from the horizon's middle on. Less makes the plan
+    # give way earlier to a reference that asks for more torque than there is.
+    torque_share_end: Annotated[float, Field(gt=0, le=1)] = 0.85
     soft_min_rad: list[Finite] | None = None
     soft_max_rad: list[Finite] | None = None
     soft_weight: Positive = 1.0e7
@@ -126,9 +134,9 @@ class Estimator(Section):
     """Noise of the Kalman filter, as standard deviations."""
 
     disturbance: bool = True  # off: no disturbance torque is estimated
-    acceleration_noise_rad_per_s15: NotNegative = 0.5  # rad/s^2 per sqrt(Hz)
-    disturbance_noise_Nm_per_s05: NotNegative = 8.0  # random walk
-    measurement_noise_counts: Positive = 0.5
+    acceleration_noise_rad_per_s15: NotNegative = 0.3  # rad/s^2 per sqrt(Hz)
+    disturbance_noise_Nm_per_s05: NotNegative = 4.5  # random walk
+    measurement_noise_counts: Positive = 0.289  # rounding to whole counts: 1 / sqrt(12)
     gate_sigma: Positive = 6.0  # samples further out are outliers
 
 
@@ -144,11 +152,11 @@ class Plant(Section):
 class Channel(Section):
     """One direction of the simulated network."""
 
-    delay_us: Annotated[int, Field(ge=0)] = 3000
-    jitter_us: Annotated[int, Field(ge=0)] = 1000
+    delay_us: Delay = 3000
+    jitter_us: Delay = 1000
     loss: Share = 0.01
     reorder: Share = 0.0
-    reorder_us: Annotated[int, Field(ge=0)] = 4000
+    reorder_us: Delay = 4000
 
     @model_validator(mode="after")
     def _order(self) -> Channel:
@@ -170,7 +178,7 @@ class Sim(Section):
     to_device: Channel = Channel()
     to_host: Channel = Channel()
     clocks: Clocks = Clocks()
-    compute_us: Annotated[int, Field(ge=0)] = 2500
+    compute_us: Delay = 2500
     start_rad: list[Finite] | None = None  # default: where the task starts
     outlier_share: Share = 0.0  # samples replaced by nonsense before the controller sees them
     stall_host_at_s: NotNegative | None = None  # a tick overruns ...
@@ -202,12 +210,18 @@ class Config(Section):
             "sim.plant.coulomb_Nm": self.sim.plant.coulomb_Nm,
             "sim.start_rad": self.sim.start_rad,
         }
-        for key, value in lists.items():
-            if value is not None and len(value) != n:
-                raise ValueError(f"{key} has {len(value)} entries; the machine has {n} axes")
-        if self.mpc.horizon_us % (self.mpc.intervals * self.loop.knot_us):
-            raise ValueError(
-                f"mpc.horizon_us must be a multiple of mpc.intervals * loop.knot_us "
-                f"= {self.mpc.intervals * self.loop.knot_us}"
+        mistakes = [
+            f"{key} has {len(value)} entries; the machine has {n} axes"
+            for key, value in lists.items()
+            if value is not None and len(value) != n
+        ]
+        if self.mpc.fade_start >= self.mpc.fade_end:
+            mistakes.append("mpc.fade_start must be below mpc.fade_end")
+        step_us = self.mpc.intervals * self.loop.knot_us
+        if self.mpc.horizon_us % step_us:
+            mistakes.append(
+                f"mpc.horizon_us must be a multiple of mpc.intervals * loop.knot_us = {step_us}"
             )
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
         return self

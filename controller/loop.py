@@ -56,11 +56,11 @@ class Phase(enum.IntEnum):
 
 @dataclass
 class Outbox:
-    """What a tick decided to send: nothing, stamps, or a plan."""
+    """What a tick decided to send: stamps alone, or a plan until it is too late for it."""
 
     first_knot: int = 0
     points: list[Points] | None = None
-    stamps: bool = True
+    too_late_us: int = 2**62  # from then on its first new point is live
 
 
 @dataclass
@@ -109,6 +109,12 @@ class Loop:
         ]
         law = ServoLaw.of(axes)
         self._horizon = config.mpc.horizon_us // self._knot_us
+        points = self._horizon + max(self._margin - 1, 3)  # of the longest plan, see _join
+        if points > core.PLAN_POINTS_MAX:
+            raise ValueError(
+                f"mpc.horizon_us and loop.margin_us make plans of {points} points; a frame holds "
+                f"{core.PLAN_POINTS_MAX}: choose a longer knot or a shorter horizon"
+            )
         self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
         rad_per_count = np.array([u.rad_per_count for u in self._units])
         self.estimator = Estimator(self._prediction, config.estimator, rad_per_count)
@@ -151,9 +157,9 @@ class Loop:
         return tick, outbox
 
     def write(self, link: Link, outbox: Outbox, sent_us: int) -> None:
-        """Seals and sends what a tick decided."""
+        """Seals and sends what a tick decided; a plan that took too long is not sent at all."""
         for device, remote in enumerate(self._remotes):
-            if outbox.points is not None:
+            if outbox.points is not None and sent_us < outbox.too_late_us:
                 packet = remote.plan_packet(outbox.first_knot, outbox.points[device], sent_us)
             else:
                 packet = remote.sync_packet(sent_us)
@@ -190,14 +196,14 @@ class Loop:
         return Outbox(self._start_knot, self._start_plan)
 
     def _standing_at(self) -> Array:
-        """Mean of the last samples of each axis."""
-        means = []
+        """Median of the last samples of each axis: an outlier does not move it."""
+        medians = []
         for axis in range(len(self._remotes)):
             values = [s.position_rad for s in self.samples if s.axis == axis]
             if not values:
                 raise DeviceError(f"{self._config.machine.axes[axis].joint}: no samples arrive")
-            means.append(np.mean(values[-50:]))
-        return np.array(means)
+            medians.append(np.median(values[-50:]))
+        return np.array(medians)
 
     def _await_start(self, knot: int) -> Outbox:
         self.samples.clear()
@@ -300,7 +306,7 @@ class Loop:
             for sink in SINKS:
                 before = remote.track(sink).points(first, max(0, commit_knot + 2 - first))
                 joined[-1][sink] = np.concatenate((before, plan[sink][3:]))
-        return Outbox(first, joined)
+        return Outbox(first, joined, commit_knot * self._knot_us)
 
     def _feedforward(self, time_s: Array) -> Motion:
         """The reference itself, brought to rest along its own path by slowing its time."""

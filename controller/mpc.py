@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from dataclasses import dataclass
 
@@ -84,7 +85,7 @@ class Mpc:
         disturbance = start.z[2 * n :]
         linearized = self._linearize(x, u, disturbance)
         holding = self._prediction.holding(x[-1, :n], disturbance)
-        clipped = np.clip(reference[:, :n], ocp.limits.soft_min, ocp.limits.soft_max)
+        clipped = np.clip(reference[:, :n], *ocp.soft_limits(start.z[:n]))
         still = np.where(clipped == reference[:, :n], reference[:, n:], 0.0)
         target = np.hstack((clipped, still))
         ocp.update(x, u, linearized, start.state(n), target, committed_torque, holding)
@@ -114,6 +115,8 @@ class Mpc:
         self._solver.update(q=ocp.gradient, l=ocp.lower, u=ocp.upper, Ax=ocp.constraints.data)
         self._solver.warm_start(x=self._idle)
         result = self._solver.solve(raise_error=False)
+        if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+            signal.raise_signal(signal.SIGINT)  # OSQP caught a Ctrl-C that is not for it
         good = result.info.status_val in (
             osqp.SolverStatus.OSQP_SOLVED,
             osqp.SolverStatus.OSQP_SOLVED_INACCURATE,

@@ -11,7 +11,7 @@ each; linear in between), one slack per axis for the soft position limits.
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
                 v_{N-1} = v_N = 0                        rest at the end
                 |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit
-                soft_min - s <= q <= soft_max + s
+                soft_min - s <= q + T v <= soft_max + s
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from headway.configs.schema import Config
 
 Array = NDArray[np.float64]
 
-# Shares of the torque limit that the plan may use, at its start and from its middle on: what is
-# kept back later lets the next ticks correct what went wrong (constraint tightening: Chisci,
-# Rossiter, Zappa, Automatica 37, 2001), and leaves room for the encoding.
-TORQUE_SHARE_START, TORQUE_SHARE_END = 1.0, 0.85
 HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
+# A soft limit is approached no faster than its distance over this time: a machine that brakes later
+# than the model thinks then still stops short of it (a linear barrier: Ames et al., "Control barrier
+# functions: theory and applications", 2019).
+APPROACH_S = 0.1
+RETURN_S = 0.4  # time constant of the way back into the soft limits
 UNBOUNDED = 1e20
 # A plan whose constraints hold within these is believed: rad, rad/s, Nm.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE = 3e-4, 1e-2, 5e-2
-FADE_START, FADE_END = 0.35, 0.65  # shares of the horizon: tracking gives way to stopping between
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
 
 
@@ -55,8 +55,11 @@ class Limits:
         room = 2e-3  # to the device's hard limits, where no soft ones are given [rad]
         low = mpc.soft_min_rad or [a.position_min_rad + room for a in axes]
         high = mpc.soft_max_rad or [a.position_max_rad - room for a in axes]
+        # All of the torque at the plan's start, less from its middle on: what is kept back lets the
+        # next ticks correct what went wrong (constraint tightening: Chisci, Rossiter, Zappa,
+        # Automatica 37, 2001), and leaves room for the encoding.
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
-        shares = TORQUE_SHARE_START + (TORQUE_SHARE_END - TORQUE_SHARE_START) * ramp
+        shares = 1 + (mpc.torque_share_end - 1) * ramp
         return cls(
             np.outer(shares, [a.torque_limit_Nm for a in axes]),
             HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),
@@ -80,9 +83,11 @@ class Ocp:
         self.slacks = slice(self.torques.stop, self.torques.stop + n)
         self.size = self.slacks.stop
         share = np.linspace(0, 1, count + 1)
-        self._weight = np.clip((FADE_END - share) / (FADE_END - FADE_START), 0, 1) ** 2
+        fade = (mpc.fade_end - share) / (mpc.fade_end - mpc.fade_start)
+        self._weight = np.clip(fade, 0, 1) ** 2
         self._state_weight = np.repeat([mpc.position_weight, mpc.velocity_weight], n)
         self._start_weight = mpc.torque_start_weight
+        self._soft_weight = mpc.soft_weight
         self.hessian = self._build_hessian(mpc.torque_step_weight, mpc.soft_weight)
         self._build_constraints()
         self._scale(np.array([a.torque_limit_Nm for a in config.machine.axes]))
@@ -93,11 +98,14 @@ class Ocp:
         scaling of its own, where it stops at 200 with it."""
         n, nodes = self.n, self.intervals + 1
         state = 1 / np.sqrt(np.maximum(self._state_weight, 1.0))
-        slack = np.full(n, state[0])
+        slack = np.full(n, 1 / np.sqrt(self._soft_weight))
         self.column_scale = np.concatenate((np.tile(state, nodes), np.tile(torque, nodes), slack))
         self._row_scale = np.ones(self.rows)
         self._row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
         self._row_scale[2 * n * nodes : self.equalities] = 1 / state[-1]
+        # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
+        # slows down everything else.
+        self._row_scale[self._soft_row :] = 1 / np.sqrt(state[0])
         columns = sp.diags_array(self.column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
@@ -161,9 +169,10 @@ class Ocp:
             put(row, state(i + 1) + n, np.eye(n))
             row += n
         self._soft_row = row
-        for sign in (1.0, -1.0):  # q - s <= max, -q - s <= -min
+        for sign in (1.0, -1.0):
             for i in range(1, count + 1):
                 put(row, state(i), sign * np.eye(n))
+                put(row, state(i) + n, sign * APPROACH_S * np.eye(n))
                 put(row, self.slacks.start, -np.eye(n))
                 row += n
         self.rows = row
@@ -224,8 +233,10 @@ class Ocp:
         _bound(low, high, self._acceleration_row, np.diff(x[:, n:], axis=0), change)
         half = count * n
         soft = high[self._soft_row :]
-        soft[:half] = (limits.soft_max - x[1:, :n]).ravel()
-        soft[half:] = (x[1:, :n] - limits.soft_min).ravel()
+        soft_min, soft_max = self.soft_limits(start[:n])
+        ahead = x[:, :n] + APPROACH_S * x[:, n:]
+        soft[:half] = (soft_max - ahead)[1:].ravel()
+        soft[half:] = (ahead - soft_min)[1:].ravel()
 
         error = (x - reference) * self._state_weight * self._weight[:, None]
         self.gradient[self.states] = 2 * error.ravel()
@@ -234,8 +245,19 @@ class Ocp:
         pull[-2 * n :] -= 2 * self._start_weight * np.tile(holding, 2)
         self.gradient[self.torques] = pull
         self.gradient *= self.column_scale
-        low *= self._row_scale
+        low[: self._soft_row] *= self._row_scale[: self._soft_row]
         high *= self._row_scale
+
+    def soft_limits(self, position: Array) -> tuple[Array, Array]:
+        """Soft position limits at the nodes, (N+1, n) each: outside of them the way back in is an
+        exponential from where the machine is."""
+        time_s = np.arange(self.intervals + 1)[:, None] * self.interval_s
+        fade = np.exp(-time_s / RETURN_S)
+        low, high = self.limits.soft_min, self.limits.soft_max
+        return (
+            low + np.minimum(position - low, 0) * fade,
+            high + np.maximum(position - high, 0) * fade,
+        )
 
     def residual(self, z: Array) -> float:
         """Largest violation of any constraint but the soft ones by scaled variables z, in parts of

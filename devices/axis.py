@@ -97,12 +97,31 @@ def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSetti
 
 
 def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
-    """The gate's limits on position control points."""
-    low = math.ceil(axis.position_min_rad * units.pq_per_rad)
-    high = math.floor(axis.position_max_rad * units.pq_per_rad)
-    speed = axis.velocity_limit_rad_per_s * units.pq_per_rad * units.knot_s
-    acceleration = axis.acceleration_limit_rad_per_s2 * units.pq_per_rad * units.knot_s**2
-    return _core.GateLimits(low, high, math.floor(speed), math.floor(acceleration))
+    """The gate's limits on position control points.
+
+    Raises ValueError if one does not fit the device's integers.
+    """
+    position, speed = units.pq_per_rad, units.pq_per_rad * units.knot_s
+    acceleration = speed * units.knot_s
+    low, high = axis.position_min_rad, axis.position_max_rad
+    v, a = axis.velocity_limit_rad_per_s, axis.acceleration_limit_rad_per_s2
+    for key, value, quanta, least, most in (
+        ("position_min_rad", low, position, -_core.POINT_MAX, _core.POINT_MAX),
+        ("position_max_rad", high, position, -_core.POINT_MAX, _core.POINT_MAX),
+        ("velocity_limit_rad_per_s", v, speed, 1, _core.DIFFERENCE_MAX),
+        ("acceleration_limit_rad_per_s2", a, acceleration, 1, 2**31 - 1),
+    ):
+        if not least <= value * quanta <= most:
+            raise ValueError(
+                f"{axis.joint}: {key} is {value:g}; with {axis.counts_per_turn} counts per turn "
+                f"and this knot it can be {least / quanta:.3g} to {most / quanta:.3g}"
+            )
+    return _core.GateLimits(
+        math.ceil(low * position),
+        math.floor(high * position),
+        math.floor(v * speed),
+        math.floor(a * acceleration),
+    )
 
 
 def torque_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:

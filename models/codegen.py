@@ -25,8 +25,8 @@ def compile_functions(name: str, functions: list[ca.Function]) -> dict[str, ca.F
     """Generates one C file for all `functions`, compiles it once and loads it.
 
     The shared library is named by the hash of its source and put in place by a rename, so
-    processes that compile at the same time do no harm to each other. Raises RuntimeError when
-    there is no C compiler or it fails.
+    processes that compile at the same time do no harm to each other. It ends in a hash of its own,
+    so a damaged one is built anew. Raises RuntimeError when there is no C compiler or it fails.
     """
     generator = ca.CodeGenerator(f"{name}.c")
     for function in functions:
@@ -34,13 +34,27 @@ def compile_functions(name: str, functions: list[ca.Function]) -> dict[str, ca.F
     source = generator.dump()
     digest = hashlib.sha256((source + ca.CasadiMeta.version()).encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
-    if not library.exists():
+    if not _intact(library):
         _build(name, source, library)
     return {f.name(): ca.external(f.name(), str(library)) for f in functions}
 
 
+def _seal(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
+def _intact(library: Path) -> bool:
+    """Whether the file is there and whole: loading half a library can kill the process."""
+    try:
+        content = library.read_bytes()
+    except FileNotFoundError:
+        return False
+    size = len(content) - len(_seal(b""))
+    return size > 0 and content[size:] == _seal(content[:size])
+
+
 def _build(name: str, source: str, library: Path) -> None:
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    compiler = shutil.which(os.environ.get("CC") or "cc") or shutil.which("gcc")
     if compiler is None:
         raise RuntimeError("no C compiler found: install one with `sudo apt-get install gcc`")
     print(f"compiling {name} (once) ...", file=sys.stderr)
@@ -52,6 +66,9 @@ def _build(name: str, source: str, library: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+        seal = _seal(built.read_bytes())
+        with built.open("ab") as file:  # what follows an ELF file's own end is ignored
+            file.write(seal)
         built.replace(library)
 
 

@@ -26,7 +26,7 @@ from headway.sim.plant import Plant
 from headway.sim.record import Record
 
 TRUTH_US = 1000
-REST_S = 0.5  # simulated after the last message, to see the machine come to rest
+REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
 
 
 class SimLink:
@@ -39,6 +39,11 @@ class SimLink:
         self._plant, self._epoch_us, self._mailbox = plant, epoch_us, Mailbox()
         self.to_device = [Wire(config.sim.to_device, rng) for rng in seeds[:n]]
         self.to_host = [Wire(config.sim.to_host, rng) for rng in seeds[n : 2 * n]]
+
+    def count_anew(self) -> None:
+        """From here on, frames are counted from zero."""
+        for wire in (*self.to_device, *self.to_host):
+            wire.sent = wire.lost = 0
 
     def collect(self) -> None:
         """Puts what the devices have sent on its way to the host."""
@@ -64,7 +69,7 @@ class Lockstep:
         """`folder` is where the config's relative paths start. Raises ValueError for mistakes."""
         self.config = config
         path = (folder / config.machine.model).resolve()
-        if not path.exists():
+        if not path.is_file():
             raise ValueError(f"machine.model: there is no file {path}")
         n = len(config.machine.axes)
         root = np.random.SeedSequence(config.seed)
@@ -82,6 +87,7 @@ class Lockstep:
         self.loop = Loop(config, load_machine(path), remotes, reference)
         self.record = Record()
         self.ticks = self.deadline_misses = 0
+        self.stopping = False  # set it to end the run early: the last plan brings all to rest
         self._busy_until_us = 0
 
     def _power_up(self, device: int, world: np.random.Generator) -> Remote:
@@ -100,18 +106,20 @@ class Lockstep:
         Raises DeviceError if a device does not answer or does not start.
         """
         knot_us = self.config.loop.knot_us
-        now_us = -(-self.epoch_us // knot_us) * knot_us
+        now_us = -(-(self.epoch_us + self.plant.true_us) // knot_us) * knot_us
         end_us: int | None = None
-        while end_us is None or now_us < end_us:
+        while not self.stopping and (end_us is None or now_us < end_us):
             self._advance_to(now_us - self.epoch_us)
             self._host_tick(now_us)
             now_us += knot_us
             if self.loop.phase is Phase.RUN and end_us is None:
                 end_us = self.loop.start_us + round(self.config.duration_s * 1e6)
+                self.link.count_anew()
             if progress and end_us is not None and self.ticks % 64 == 0:
                 progress((now_us - self.loop.start_us) * 1e-6)
         self.end_us = now_us
-        self._advance_to(now_us - self.epoch_us + round(REST_S * 1e6))
+        plan_us = self.config.mpc.horizon_us + self.config.loop.margin_us
+        self._advance_to(now_us - self.epoch_us + plan_us + round(REST_S * 1e6))
 
     def task_s(self, system_us: int) -> float:
         """Time of the task at a system time."""

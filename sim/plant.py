@@ -8,27 +8,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-import headway.sim
 from headway.configs.schema import Machine
 from headway.configs.schema import Plant as PlantConfig
 from headway.sim import _board
+from headway.sim.plugin import load_plugin
 
-
-def load_plugin() -> None:
-    """Registers the engine plugin `headway.servo`. Safe to call twice.
-
-    The compiled plugin lies beside the package's other compiled files, wherever the build put
-    them, so it is looked for along the package's path.
-    """
-    for folder in headway.sim.__path__:
-        plugin = Path(folder) / "headway_servo.so"
-        if plugin.exists():
-            mujoco.mj_loadPluginLibrary(str(plugin))
-            return
-    raise FileNotFoundError("headway_servo.so is not built: run scripts/setup")
-
-
+DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 COUNTS_PER_UNIT, GEAR, TORQUE_CONSTANT, RESISTANCE, SUPPLY, BRAKE = range(6)  # actuator user data
+
+
+class UnstableError(Exception):
+    """The simulated machine's motion grew beyond all bounds."""
 
 
 class Plant:
@@ -107,8 +101,13 @@ class Plant:
         return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
 
     def step(self, count: int) -> None:
-        """Advances plant, servos and devices by `count` physics steps."""
+        """Advances plant, servos and devices by `count` physics steps. Raises UnstableError."""
         mujoco.mj_step(self.model, self.data, count)
+        if any(self.data.warning[kind].number for kind in DIVERGED):  # MuJoCo has reset itself
+            raise UnstableError(
+                "the simulated machine's motion is unstable: check sim.plant, the "
+                "servo's gains and the model"
+            )
 
 
 def _named(path: Path, model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:

@@ -1,0 +1,25 @@
+"""From a checked Config back to a YAML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ruamel.yaml import YAML
+
+from headway.configs.schema import Config
+
+
+def save_config(config: Config, base: Path, path: Path) -> None:
+    """Writes a config with every key filled in, so that loading it gives the same config.
+
+    Relative paths in it start at `base`; they are written as absolute ones, since the new file
+    lies elsewhere. Raises OSError.
+    """
+    tree = config.model_dump(mode="json")
+    tree["machine"]["model"] = str((base / config.machine.model).resolve())
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = None  # keys in the schema's order
+    with path.open("w", encoding="utf-8") as file:
+        file.write("# The config as used: every key, its default if nothing else was said.\n")
+        yaml.dump(tree, file)

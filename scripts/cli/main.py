@@ -1,0 +1,70 @@
+"""Entry point of the `headway` command: arguments in, exit code out, never a traceback."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+
+from cyclopts import App, CycloptsError
+
+from headway.cli.failure import ExitCode, Failure
+from headway.cli.folder import RUNS, stamp
+from headway.cli.run import run
+
+HELP = """Receding-horizon control for machines at the far end of slow, jittery, lossy wires.
+
+Example: simulate two seconds of the two-link arm and see how well it followed.
+
+    headway run configs/arm2.yaml --duration 2
+"""
+
+EXIT_CODES = """Exit codes: 0 done, 1 internal error, 2 mistake in the command line or the config,
+3 a limit was violated, 4 a device or the link failed, 130 interrupted."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command with `arguments` (default: those of the process); returns its exit code."""
+    app = App(
+        name="headway",
+        help=HELP,
+        help_epilogue=EXIT_CODES,
+        help_format="markdown",
+        version=importlib.metadata.version("headway"),
+        suppress_keyboard_interrupt=False,
+        result_action="return_value",
+    )
+    app.command(run)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `headway run ... | head` just ends
+    try:
+        return int(app(arguments, exit_on_error=False) or ExitCode.DONE)
+    except CycloptsError:
+        return ExitCode.USAGE  # cyclopts has told what is wrong
+    except Failure as failure:
+        print(failure, file=sys.stderr)
+        return failure.code
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    except Exception as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"internal error: {what[:300]} (traceback: {_write_crash()})", file=sys.stderr)
+        return ExitCode.INTERNAL
+
+
+def _write_crash() -> Path:
+    """Writes the current exception's traceback below runs/, or where there is room for it."""
+    text = f"{' '.join(sys.argv)}\n\n{traceback.format_exc()}"
+    for folder in (RUNS, Path(tempfile.gettempdir())):
+        path = folder / f"crash-{stamp()}.txt"
+        try:
+            folder.mkdir(exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+            return path
+        except OSError:
+            continue
+    return Path("nowhere to write it")

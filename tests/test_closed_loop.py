@@ -1,0 +1,264 @@
+"""The whole loop: what the machine does under MPC, and how it stops when the host dies."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from headway.configs.load import load_config
+from headway.controller.loop import DeviceError
+from headway.sim.lockstep import Lockstep
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+def closed_loop(*overrides: str, config: str = "arm2.yaml") -> Lockstep:
+    lockstep = Lockstep(load_config(CONFIGS / config, list(overrides)), CONFIGS)
+    lockstep.run()
+    return lockstep
+
+
+def task_error(lockstep: Lockstep) -> np.ndarray:
+    """True position minus reference [rad] after the first half second of the task."""
+    record = lockstep.record.arrays()
+    time_s = record["truth_s"]
+    task = (time_s > 0.5) & (time_s < lockstep.config.duration_s)
+    return (record["truth_position"] - record["truth_reference"])[task]
+
+
+def rms(error: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(error**2, axis=0))
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Lockstep:
+    return closed_loop("duration_s=4")
+
+
+def test_tracks_within_its_goals(shipped):
+    assert np.all(rms(task_error(shipped)) <= [0.45e-3, 0.75e-3])
+
+
+def test_every_plan_of_the_shipped_run_is_accepted(shipped):
+    record = shipped.record.arrays()
+    assert record["accepted"].all()
+    for node in shipped.plant.nodes:
+        status = node.status
+        assert status.plans_refused == 0
+        assert status.plans_late == 0
+        assert status.coasts == 1  # the one that ends the run
+
+
+def test_comes_to_rest_after_the_last_plan_and_holds(shipped):
+    assert shipped.device_states() == ["HOLD", "HOLD"]
+    record = shipped.record.arrays()
+    # It trembles by an encoder count; it does not move.
+    assert np.abs(record["truth_velocity"][-100:].mean(axis=0)).max() < 5e-3
+    assert np.ptp(record["truth_position"][-100:], axis=0).max() < 5e-4
+
+
+def test_same_seed_same_log_another_seed_another():
+    hashes = [closed_loop("duration_s=0.8", f"seed={s}").record.sha256() for s in (5, 5, 6)]
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_ten_times_better_than_nominal_feedforward(shipped):
+    feedforward = closed_loop("duration_s=4", "mpc.enabled=false")
+    assert np.all(rms(task_error(feedforward)) >= 10 * rms(task_error(shipped)))
+
+
+@pytest.mark.parametrize(
+    ("margin_us", "limit_mrad"), [(8192, (0.45, 0.75)), (12288, (0.45, 0.75)), (24576, (0.65, 1.1))]
+)
+def test_ten_thousand_ticks_under_mismatch(margin_us, limit_mrad):
+    lockstep = closed_loop("duration_s=41", f"loop.margin_us={margin_us}", "seed=11")
+    assert lockstep.ticks >= 10_000
+    for node in lockstep.plant.nodes:
+        assert node.status.plans_refused == 0
+    error = task_error(lockstep) * 1e3
+    assert np.all(rms(error) <= limit_mrad)
+    # No divergence and no ringing: the last quarter is as good as the first, the worst sample is
+    # no outlier, and the error has no more in the band above 10 Hz than the reference run shows.
+    quarters = [rms(part) for part in np.array_split(error, 4)]
+    assert np.all(quarters[-1] < 1.15 * quarters[0])
+    assert np.all(np.abs(error).max(axis=0) < 8 * rms(error))
+    spectrum = np.abs(np.fft.rfft(error * np.hanning(len(error))[:, None], axis=0)) ** 2
+    frequency_Hz = np.fft.rfftfreq(len(error), 1e-3)
+    share = spectrum[frequency_Hz > 10].sum(axis=0) / spectrum.sum(axis=0)
+    assert np.all(share < 0.35), share
+    assert lockstep.record.arrays()["accepted"].all()
+
+
+def test_the_fast_reference_saturates_without_windup():
+    mpc = closed_loop("duration_s=4", config="arm2-fast.yaml")
+    feedforward = closed_loop("duration_s=4", "mpc.enabled=false", config="arm2-fast.yaml")
+    assert np.all(rms(task_error(mpc)) <= 0.85 * rms(task_error(feedforward)))
+    record = mpc.record.arrays()
+    limit = np.array([12.0, 6.0])
+    assert np.all(np.abs(record["servo_torque_tq"] * 1e-6) <= limit)
+    planned = record["planned_torque"][record["accepted"] == 1]
+    assert np.all(planned <= 1.001 * limit)
+    saturated = np.abs(record["servo_torque_tq"][:, 0]) > 11.99e6
+    assert saturated.sum() > 100  # the reference does ask for more than there is
+    # No wind-up: a quarter second after the last saturated period the error is small again.
+    error = np.abs(record["truth_position"] - record["truth_reference"])
+    since = np.arange(len(saturated)) - np.maximum.accumulate(
+        np.where(saturated, np.arange(len(saturated)), 0)
+    )
+    calm = (since > 250) & (record["truth_s"] > 1.0) & (record["truth_s"] < 4)
+    assert calm.sum() > 100
+    assert error[calm].max() < 8e-3
+
+
+SOFT = ("mpc.soft_max_rad=[1.3, 0.9]", "mpc.soft_min_rad=[-0.3, -0.3]")
+
+
+def test_a_soft_limit_that_cuts_the_reference_is_held():
+    lockstep = closed_loop("duration_s=4", *SOFT)
+    record = lockstep.record.arrays()
+    assert record["truth_reference"].max(axis=0)[0] > 1.5  # it does cut
+    assert np.all(record["truth_position"].max(axis=0) < [1.3 + 1e-3, 0.9 + 1e-3])
+    assert record["accepted"].mean() > 0.99
+    # Where the reference is inside, and not about to leave, it is tracked as ever.
+    reference = record["truth_reference"]
+    ahead = reference + 0.1 * np.gradient(reference, 1e-3, axis=0)
+    inside = np.all((ahead < [1.25, 0.85]) & (ahead > -0.25), axis=1)
+    inside &= np.all((reference < [1.25, 0.85]) & (reference > -0.25), axis=1)
+    for_long = np.convolve(inside, np.ones(300), mode="full")[: len(inside)] > 299
+    away = for_long & (record["truth_s"] > 0.8) & (record["truth_s"] < 3.8)
+    assert away.sum() > 100
+    assert np.abs(record["truth_position"] - reference)[away].max() < 5e-3
+
+
+def test_a_start_outside_the_soft_limits_recovers_smoothly():
+    lockstep = closed_loop("duration_s=3", *SOFT, "sim.start_rad=[1.5, 1.1]")
+    record = lockstep.record.arrays()
+    assert record["accepted"].mean() > 0.98
+    back = record["truth_s"] > 2.0
+    assert np.all(record["truth_position"][back].max(axis=0) < [1.305, 0.905])
+    begin = record["truth_s"] < 0.5
+    assert np.abs(record["truth_velocity"][begin]).max() < 6.0
+    acceleration = np.abs(np.diff(record["truth_velocity"][begin], axis=0) / 1e-3)
+    assert np.percentile(acceleration, 99) < 100.0
+
+
+@pytest.mark.parametrize("stall_s", [0.03, 0.1])
+def test_an_overrun_coasts_and_recovers(stall_s):
+    lockstep = closed_loop("duration_s=3", "sim.stall_host_at_s=1.5", f"sim.stall_host_s={stall_s}")
+    assert lockstep.deadline_misses >= stall_s / 0.004096 - 2
+    for node in lockstep.plant.nodes:
+        assert node.status.coasts == 2  # the stall, and the end of the run
+    record = lockstep.record.arrays()
+    late = (record["truth_s"] > 2.0) & (record["truth_s"] < 3)
+    error = (record["truth_position"] - record["truth_reference"])[late]
+    assert np.all(rms(error) < [0.6e-3, 1e-3])
+
+
+def test_a_stall_longer_than_the_plan_ends_in_hold_and_says_so():
+    with pytest.raises(DeviceError, match="came to rest"):
+        closed_loop("duration_s=3", "sim.stall_host_at_s=1.0", "sim.stall_host_s=0.4")
+
+
+def test_one_percent_outliers_cost_little(shipped):
+    outliers = closed_loop("duration_s=4", "sim.outlier_share=0.01")
+    assert outliers.loop.estimator.outliers > 50
+    assert np.all(rms(task_error(outliers)) <= 1.1 * rms(task_error(shipped)))
+
+
+def test_torque_at_the_joint_stays_within_the_limits(shipped):
+    torque = np.abs(shipped.record.arrays()["servo_torque_tq"]) * 1e-6
+    assert np.all(torque <= [12.0, 6.0])
+
+
+# --- the host dies -------------------------------------------------------------------------------
+
+
+def coast(lockstep: Lockstep, periods: int = 1000) -> np.ndarray:
+    """The plant alone from here on, 1 ms a row: time, position, velocity, setpoint, its rate.
+
+    What the host has sent so far still arrives. The plant is put back afterwards.
+    """
+    plant = lockstep.plant
+    saved = np.empty(mujoco.mj_stateSize(plant.model, STATE))
+    mujoco.mj_getState(plant.model, plant.data, saved, STATE)
+    start_us, rows = plant.true_us, []
+    for _ in range(periods):
+        plant.step(4)
+        setpoints = [n.setpoint(plant.true_us + lockstep.epoch_us) for n in plant.nodes]
+        rows.append([
+            plant.true_us - start_us, *plant.position, *plant.velocity,
+            *(s[0] for s in setpoints), *(s[1] for s in setpoints), *plant.torque,
+        ])  # fmt: skip
+    mujoco.mj_setState(plant.model, plant.data, saved, STATE)
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def stops() -> list[np.ndarray]:
+    """What follows a host's death at 100 phases of the task."""
+    lockstep = Lockstep(load_config(CONFIGS / "arm2.yaml", ["duration_s=4"]), CONFIGS)
+    rng, tick, found = np.random.default_rng(3), lockstep._host_tick, []
+
+    def tick_and_die(now_us: int) -> None:
+        tick(now_us)
+        if len(found) < 100 and lockstep.ticks > 150 and rng.random() < 0.15:
+            found.append(coast(lockstep))
+
+    lockstep._host_tick = tick_and_die
+    lockstep.run()
+    assert len(found) == 100
+    return found
+
+
+def rest_index(stop: np.ndarray) -> int:
+    """First row from which the setpoints no longer move at all."""
+    return int(np.nonzero(np.any(stop[:, 7:9] != 0, axis=1))[0].max()) + 1
+
+
+def test_setpoints_rest_within_margin_and_horizon(stops):
+    config = load_config(CONFIGS / "arm2.yaml")
+    bound_us = config.loop.margin_us + config.mpc.horizon_us + config.loop.knot_us
+    for stop in stops:
+        index = rest_index(stop)
+        assert stop[index, 0] <= bound_us
+        assert np.all(stop[index:, 5:7] == stop[-1, 5:7])  # exactly, from there on
+
+
+def test_the_arm_is_slow_25_ms_after_its_setpoints_rest(stops):
+    assert max(np.abs(s[rest_index(s) + 25, 3:5]).max() for s in stops) < 0.1
+
+
+def test_the_arm_is_in_place_a_quarter_second_later_and_does_not_sag(stops):
+    for stop in stops:
+        later = rest_index(stop) + 25 + 250
+        assert np.abs(stop[later:, 1:3] - stop[-1, 1:3]).max() < 1e-3
+
+
+def test_the_stop_stays_inside_all_limits(stops):
+    axes = load_config(CONFIGS / "arm2.yaml").machine.axes
+    for stop in stops:
+        for i, axis in enumerate(axes):
+            assert axis.position_min_rad < stop[:, 1 + i].min()
+            assert stop[:, 1 + i].max() < axis.position_max_rad
+            assert np.abs(stop[:, 3 + i]).max() < axis.velocity_limit_rad_per_s
+            # The motors' constants differ by 3 % from what the device believes.
+            assert np.abs(stop[:, 9 + i]).max() < 1.15 * axis.torque_limit_Nm
+
+
+def test_a_killed_host_in_a_whole_run():
+    """The same through `sim.kill_host_at_s`: no message after it, every axis holds."""
+    lockstep = closed_loop("duration_s=2", "sim.kill_host_at_s=1.2")
+    sent = lockstep.link.to_device[0].sent
+    assert sent < lockstep.loop._ticks + 1
+    record = lockstep.record.arrays()
+    assert record["tick_s"].max() < 1.2
+    assert lockstep.device_states() == ["HOLD", "HOLD"]
+    rest = record["truth_s"] > 1.2 + 0.012288 + 0.180224 + 0.3
+    assert np.ptp(record["truth_position"][rest], axis=0).max() < 1e-3
+
+
+def test_no_acknowledgement_no_motion():
+    with pytest.raises(DeviceError):
+        closed_loop("duration_s=1", "sim.to_device.loss=1.0")

@@ -1,0 +1,396 @@
+"""The estimator: independent of the order of arrival, consistent with its own model, robust."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+
+from headway.configs.load import load_config
+from headway.configs.schema import Estimator as EstimatorConfig
+from headway.controller.estimator import (
+    REJECTED_IN_A_ROW,
+    START_SIGMA,
+    Estimate,
+    Estimator,
+    Sample,
+)
+from headway.controller.prediction import Prediction, ServoLaw
+from headway.models.machine import load_machine
+from headway.sim.lockstep import Lockstep
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGS = ROOT / "configs"
+PITCH = 2 * np.pi / 40_000  # [rad] one encoder count
+SIGMA = np.repeat(START_SIGMA, 2)  # of the state after a reset
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+@cache
+def prediction() -> Prediction:
+    config = load_config(CONFIGS / "arm2.yaml")
+    machine = load_machine(ROOT / "models" / "arm2" / "arm2.xml")
+    mpc = config.mpc
+    horizon = mpc.horizon_us // config.loop.knot_us
+    return Prediction(machine, ServoLaw.of(config.machine.axes), mpc.intervals, horizon)
+
+
+def estimator(**changes: float) -> Estimator:
+    return Estimator(prediction(), EstimatorConfig(**changes), np.full(2, PITCH))  # type: ignore[arg-type]
+
+
+class Waves:
+    """Tracks: each axis swings; the torque track carries the arm roughly."""
+
+    amplitude = 0.5
+
+    def at(self, times_us: Times) -> Array:
+        t = np.asarray(times_us) * 1e-6
+        a, still = self.amplitude, np.ones_like(t)
+        position = np.stack([0.5 + a * np.sin(8 * t), 0.3 + a * np.cos(11 * t)], axis=1)
+        rate = np.stack([8 * a * np.cos(8 * t), -11 * a * np.sin(11 * t)], axis=1)
+        return np.hstack((position, rate, np.stack([5.0 * still, still], axis=1)))
+
+
+class Still(Waves):
+    amplitude = 0.0
+
+
+# The order of arrival.
+
+START_US = 10_000
+
+
+@st.composite
+def arrivals(draw: st.DrawFn) -> tuple[list[Sample], list[list[Sample]]]:
+    """Samples in order, and the same in some order, in batches, some of them twice."""
+    keys = draw(
+        st.lists(
+            st.tuples(st.integers(START_US + 1, START_US + 60_000), st.integers(0, 1)),
+            min_size=1,
+            max_size=24,
+            unique=True,
+        )
+    )
+    noise = draw(st.lists(st.integers(-3, 3), min_size=len(keys), max_size=len(keys)))
+    samples = [
+        Sample(t, axis, float(Waves().at(np.array([t]))[0, axis]) + counts * PITCH)
+        for (t, axis), counts in zip(keys, noise, strict=True)
+    ]
+    again = draw(st.lists(st.sampled_from(samples), max_size=5))
+    shuffled = draw(st.permutations(samples + again))
+    cuts = sorted(draw(st.lists(st.integers(0, len(shuffled)), max_size=6)))
+    batches = [shuffled[a:b] for a, b in zip([0, *cuts], [*cuts, len(shuffled)], strict=True)]
+    return sorted(samples, key=lambda s: (s.time_us, s.axis)), batches
+
+
+def settled(filter_: Estimator) -> Estimator:
+    filter_.reset(START_US, Waves().at(np.array([START_US]))[0, :2])
+    return filter_
+
+
+def as_bytes(estimate: Estimate) -> bytes:
+    return estimate.z.tobytes() + estimate.covariance.tobytes()
+
+
+NOW_US = START_US + 65_000
+
+
+@settings(deadline=None, max_examples=150)
+@given(arrivals())
+def test_any_order_and_any_batches_give_the_same_estimate(
+    arrived: tuple[list[Sample], list[list[Sample]]],
+) -> None:
+    ordered, batches = arrived
+    expected = settled(estimator()).update(ordered, NOW_US, Waves())
+    mixed = settled(estimator())
+    for batch in batches[:-1]:
+        mixed.update(batch, NOW_US - 1000, Waves())
+    got = mixed.update(batches[-1], NOW_US, Waves())
+    assert as_bytes(got) == as_bytes(expected)
+    assert got.time_us == NOW_US
+
+
+def test_every_sample_counts() -> None:
+    """What the test above can see: one sample of many, one count off."""
+    times = range(START_US + 1000, START_US + 20_000, 1000)
+    samples = [Sample(t, 0, float(Waves().at(np.array([t]))[0, 0])) for t in times]
+    last = samples[-1]
+    off = [*samples[:-1], Sample(last.time_us, 0, last.position_rad + PITCH)]
+    first = settled(estimator()).update(samples, NOW_US, Waves())
+    assert as_bytes(settled(estimator()).update(off, NOW_US, Waves())) != as_bytes(first)
+    fewer = settled(estimator()).update(samples[1:], NOW_US, Waves())
+    assert as_bytes(fewer) != as_bytes(first)
+
+
+def test_a_batch_counts_each_sample_once_in_the_statistics() -> None:
+    filter_ = settled(estimator())
+    times = range(START_US + 1000, START_US + 41_000, 1000)
+    samples = [Sample(t, 1, float(Waves().at(np.array([t]))[0, 1])) for t in times]
+    filter_.update(samples[::2], NOW_US, Waves())
+    filter_.update(samples, NOW_US, Waves())
+    filter_.update([], NOW_US + 400_000, Waves())  # by now all but the last are forgotten
+    assert filter_.accepted + filter_.outliers == len(samples) - 1
+
+
+def test_predicting_in_steps_is_predicting_along_the_tracks() -> None:
+    """predict() stops at each time it is given; the disturbance wanders meanwhile."""
+    filter_ = settled(estimator())
+    now = filter_.update([Sample(START_US + 500, 0, 0.54)], NOW_US, Waves())
+    times = [NOW_US + 4096, NOW_US + 8192]
+    twice = filter_.predict(filter_.predict(now, times[:1], Waves()), times[1:], Waves())
+    once = filter_.predict(now, times, Waves())
+    assert as_bytes(once) == as_bytes(twice) and once.time_us == times[-1]
+    walk = EstimatorConfig().disturbance_noise_Nm_per_s05 ** 2 * 8192e-6
+    grown = np.diag(once.covariance - now.covariance)[4:]
+    np.testing.assert_allclose(grown, walk, rtol=1e-9)
+
+
+# Consistency: worlds made by the filter's own model (Bar-Shalom, Li, Kirubarajan, Estimation with
+# Applications, 2001, section 5.4). The errors' squares are then chi-square distributed.
+
+STEP_US, RUN_US, NEES_EVERY_US = 500, 200_000, 50_000
+RUNS = 100
+
+
+def process_noise(config: EstimatorConfig) -> Array:
+    """Of one step: white acceleration on each axis, and the disturbance's random walk."""
+    dt, noise = STEP_US * 1e-6, np.zeros((6, 6))
+    a = config.acceleration_noise_rad_per_s15**2
+    for i in range(2):
+        noise[np.ix_([i, 2 + i], [i, 2 + i])] = a * np.array(
+            [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
+        )
+        noise[4 + i, 4 + i] = config.disturbance_noise_Nm_per_s05**2 * dt
+    return noise
+
+
+def model_step(z: Array, tracks: Array) -> Array:
+    inputs = prediction().step.inputs
+    inputs[0][:, 0], inputs[1][:, 0], inputs[5][0, 0] = z[:4], z[4:], STEP_US * 1e-6
+    for k in range(3):
+        inputs[2 + k][:, 0] = tracks[k]
+    return np.concatenate((prediction().step.run()[0][:, 0], z[4:]))
+
+
+def matched_run(seed: int, tracks: Waves, root: Array, filter_: Estimator) -> list[float]:
+    """One world and its filter; returns NEES at fixed times. The filter keeps its own NIS."""
+    rng = np.random.default_rng(seed)
+    mean = np.concatenate((tracks.at(np.zeros(1, dtype=np.int64))[0, :2], np.zeros(4)))
+    z = mean + SIGMA * rng.normal(size=6)
+    filter_.reset(0, mean[:2])
+    times = np.arange(0, RUN_US + 1, STEP_US // 2)
+    values = tracks.at(times)
+    nees, batch = [], list[Sample]()
+    for k in range(1, RUN_US // STEP_US + 1):
+        now_us, axis = k * STEP_US, k % 2  # each axis every ms
+        z = model_step(z, values[2 * k - 2 : 2 * k + 1]) + root @ rng.normal(size=6)
+        batch.append(Sample(now_us, axis, float(np.rint(z[axis] / PITCH) * PITCH)))
+        if k % 10 == 0:
+            estimate = filter_.update(batch, now_us, tracks)
+            batch = []
+        if now_us % NEES_EVERY_US == 0:
+            error = z - estimate.z
+            nees.append(float(error @ np.linalg.solve(estimate.covariance, error)))
+    filter_.update([], RUN_US + 10**6, tracks)  # all but the last sample enter the statistics
+    return nees
+
+
+def band(degrees: int, count: int) -> tuple[float, float]:
+    """95 % of the means of `count` squares of `degrees` degrees of freedom lie in here."""
+    low, high = stats.chi2.ppf([0.025, 0.975], degrees * count) / count
+    return float(low), float(high)
+
+
+@cache
+def consistency(tracks: Waves) -> tuple[Array, float, int]:
+    """NEES (runs, times); mean NIS; number of samples."""
+    config = EstimatorConfig()
+    root = np.linalg.cholesky(process_noise(config))
+    filter_ = estimator()
+    nees = [matched_run(seed, tracks, root, filter_) for seed in range(RUNS)]
+    assert filter_.outliers == 0
+    return np.array(nees), filter_.nis_sum / filter_.accepted, filter_.accepted
+
+
+WAVES, STILL = Waves(), Still()
+
+
+@pytest.mark.parametrize("tracks", [WAVES, STILL], ids=["waves", "still"])
+def test_the_covariance_is_the_errors(tracks: Waves) -> None:
+    """At each of the times, over the runs, which are independent of each other; and in all."""
+    nees, _, _ = consistency(tracks)
+    assert nees.shape == (RUNS, RUN_US // NEES_EVERY_US)
+    low, high = band(6, RUNS)
+    assert np.all((nees.mean(axis=0) > low) & (nees.mean(axis=0) < high))
+    low, high = band(6, nees.size)
+    assert low < nees.mean() < high
+
+
+@pytest.mark.parametrize("tracks", [WAVES, STILL], ids=["waves", "still"])
+def test_the_innovations_are_as_large_as_expected(tracks: Waves) -> None:
+    """Readings are rounded to whole counts: the config's noise is that of rounding."""
+    _, nis, count = consistency(tracks)
+    assert count == RUNS * (RUN_US // STEP_US - 1)
+    low, high = band(1, count)
+    assert high - low < 0.03  # so a hundredth of a count more or less would be seen
+    assert low < nis < high
+
+
+# In the closed loop.
+
+
+def lockstep(*overrides: str) -> Lockstep:
+    return Lockstep(load_config(CONFIGS / "arm2.yaml", list(overrides)), CONFIGS)
+
+
+def task_rms(values: Array, time_s: Array, lock: Lockstep) -> Array:
+    """Over the task after its entry."""
+    inside = (time_s > 0.5) & (time_s < lock.config.duration_s)
+    mean: Array = np.sqrt(np.mean(values[inside] ** 2, axis=0))
+    return mean
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Lockstep:
+    lock = lockstep("duration_s=2")
+    lock.run()
+    return lock
+
+
+def test_the_state_is_known_to_within_three_counts(shipped: Lockstep) -> None:
+    record = shipped.record.arrays()
+    error = record["now_estimate"][:, :2] - record["tick_true_position"]
+    assert np.all(task_rms(error, record["tick_s"], shipped) < 3 * PITCH)
+
+
+def test_no_sample_of_the_shipped_run_is_an_outlier(shipped: Lockstep) -> None:
+    filter_ = shipped.loop.estimator
+    assert filter_.outliers == 0 and filter_.accepted > 3000
+    assert 0.5 < filter_.nis_sum / filter_.accepted < 1.5  # consistent even so
+
+
+def test_one_percent_of_outliers_costs_at_most_a_tenth() -> None:
+    """Over two worlds together: two runs of one world differ by some percent either way."""
+    squares = {0.0: 0.0, 0.01: 0.0}
+    for share in squares:
+        for seed in range(2):
+            lock = lockstep("duration_s=2", f"seed={seed}", f"sim.outlier_share={share}")
+            lock.run()
+            record = lock.record.arrays()
+            error = record["truth_position"] - record["truth_reference"]
+            squares[share] += float(np.sum(task_rms(error, record["truth_s"], lock) ** 2))
+            caught = lock.loop.estimator.outliers
+            assert caught > 15 if share else caught == 0
+    assert squares[0.01] <= 1.1**2 * squares[0.0]
+
+
+@pytest.fixture(scope="module")
+def calm() -> dict[str, Array]:
+    """The same world without the step."""
+    lock = lockstep("duration_s=0.8")
+    lock.run()
+    return lock.record.arrays()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_step_of_the_disturbance_is_found_in_50_ms(
+    calm: dict[str, Array], axis: int, sign: int
+) -> None:
+    """An outside torque on a joint: no bias before, most of it found, with its sign, at 50 ms."""
+    lock, step_s, size = lockstep("duration_s=0.8"), 0.7, sign * (2.0, 1.0)[axis]
+    advance = lock._advance_to
+
+    def pushed(true_us: int) -> None:
+        in_task = lock.loop.start_us > 0
+        if in_task and lock.task_s(true_us + lock.epoch_us) >= step_s:
+            lock.plant.data.qfrc_applied[axis] = size
+        advance(true_us)
+
+    lock._advance_to = pushed  # type: ignore[method-assign]
+    lock.run()
+    time_s = lock.record.arrays()["tick_s"]
+    change = lock.record.arrays()["now_estimate"][:, 4:] - calm["now_estimate"][:, 4:]
+    before = time_s < step_s - 0.005
+    assert np.all(change[before] == 0)
+    at = int(np.searchsorted(time_s, step_s + 0.050))
+    assert 0.5 < change[at, axis] / size < 1.5
+    assert abs(change[at, 1 - axis]) < 0.5 * abs(size)
+
+
+# A filter that is wrong.
+
+
+def resting_samples(position: Array, start_us: int, count: int) -> list[Sample]:
+    """A reading a millisecond from each axis of an arm that does not move."""
+    return [
+        Sample(
+            start_us + 1000 * k + 100 * axis, axis, float(np.rint(position[axis] / PITCH) * PITCH)
+        )
+        for k in range(1, count + 1)
+        for axis in range(2)
+    ]
+
+
+def test_twenty_rejected_samples_in_a_row_widen_the_covariance() -> None:
+    filter_, truth = estimator(), np.array([0.5, 0.3])
+    filter_.reset(0, truth)
+    samples = resting_samples(truth, 0, 30)
+    filter_.update(samples, 31_000, STILL)
+    wrong = [Sample(31_000 + 100 * k, 0, 0.9) for k in range(1, REJECTED_IN_A_ROW)]
+    almost = filter_.update(wrong, 31_000 + 100 * REJECTED_IN_A_ROW, STILL)
+    assert almost.covariance[0, 0] < 0.01 * SIGMA[0] ** 2
+    last = Sample(31_000 + 100 * REJECTED_IN_A_ROW, 0, 0.9)
+    widened = filter_.update([last], last.time_us, STILL)
+    growth = widened.covariance - almost.covariance
+    assert np.all(np.diag(growth) >= 0.99 * SIGMA**2)
+    np.testing.assert_array_equal(widened.z, almost.z)  # none of them moved the state
+
+
+def test_one_good_sample_ends_a_row() -> None:
+    filter_, truth = estimator(), np.array([0.5, 0.3])
+    filter_.reset(0, truth)
+    filter_.update(resting_samples(truth, 0, 30), 31_000, STILL)
+    samples = [Sample(31_000 + 100 * k, 0, 0.9) for k in range(1, 40)]
+    samples[15] = Sample(samples[15].time_us, 0, filter_.update([], 31_000, STILL).z[0])
+    samples = samples[: 15 + REJECTED_IN_A_ROW]  # 15 bad, a good one, 19 bad
+    estimate = filter_.update(samples, samples[-1].time_us, STILL)
+    assert estimate.covariance[2, 2] < START_SIGMA[1] ** 2
+
+
+@pytest.mark.parametrize("offset", [(0.1, 0.0), (-0.05, 0.08), (0.0, -0.2)])
+def test_a_wrong_start_is_recovered_from(offset: tuple[float, float]) -> None:
+    """The arm hangs on its servos, still; the filter was told that it is elsewhere."""
+    p, truth = prediction(), np.array([0.5, 0.3])
+    # Where the servos hold it under these tracks, found by the model itself.
+    z = np.concatenate((truth, np.zeros(4)))
+    held = np.tile(STILL.at(np.zeros(1, dtype=np.int64)), (3, 1))
+    held[:, :2] = truth
+    held[:, 4:] = p.holding(truth, np.zeros(2))
+    np.testing.assert_allclose(model_step(z, held), z, atol=1e-12)
+
+    class Holding(Still):
+        def at(self, times_us: Times) -> Array:
+            return np.tile(held[0], (len(times_us), 1))
+
+    filter_ = estimator()
+    filter_.reset(0, truth + offset)
+    for k in range(100):
+        estimate = filter_.update(resting_samples(truth, 4000 * k, 4), 4000 * k + 4500, Holding())
+    assert filter_.outliers >= REJECTED_IN_A_ROW
+    assert np.all(np.abs(estimate.z[:2] - truth) < 3 * PITCH)
+    assert np.all(np.abs(estimate.z[2:4]) < 0.1)
+
+
+def test_without_a_disturbance_none_is_estimated() -> None:
+    filter_ = estimator(disturbance=False)
+    filter_.reset(0, np.array([0.5, 0.3]))
+    estimate = filter_.update(resting_samples(np.array([0.501, 0.3]), 0, 50), 51_000, STILL)
+    assert np.all(estimate.z[4:] == 0) and np.all(estimate.covariance[4:] == 0)
