@@ -38,7 +38,6 @@ ENTRY_S = 0.5  # from rest onto the task's reference
 IDLE, HOLD = core.STATES.index("IDLE"), core.STATES.index("HOLD")
 
 
-SATURATION_ROOM = 0.05  # of the torque limit: a plan may ask for this much more than it will get
 FIXED_KNOTS = 3  # from the commit knot on, in which committed points still shape the tracks
 
 
@@ -276,8 +275,8 @@ class Loop:
         """The same gate as on the device, and the roll-out within the motors' torque."""
         if self._mpc is not None:
             free = rolled.torque[FIXED_KNOTS:]
-            ceiling = (1 + SATURATION_ROOM) * self._prediction.law.limit
-            if not np.all(np.abs(free) <= ceiling):  # false for not-a-number
+            limit = self._prediction.law.limit
+            if not np.all(np.abs(free) <= limit):  # false for not-a-number
                 return False
         first = commit_knot - 1
         for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):

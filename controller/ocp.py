@@ -26,10 +26,11 @@ from headway.configs.schema import Config
 
 Array = NDArray[np.float64]
 
+TORQUE_SHARE = 0.99  # of the torque limit is planned at first: the rest is for the encoding
 HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
 # A soft limit is approached no faster than its distance over this time: a machine that brakes later
-# than the model thinks then still stops short of it (a linear barrier: Ames et al., "Control barrier
-# functions: theory and applications", 2019).
+# than the model thinks then still stops short of it (a linear barrier: Ames et al., "Control
+# barrier functions: theory and applications", 2019).
 APPROACH_S = 0.1
 RETURN_S = 0.4  # time constant of the way back into the soft limits
 UNBOUNDED = 1e20
@@ -55,11 +56,11 @@ class Limits:
         room = 2e-3  # to the device's hard limits, where no soft ones are given [rad]
         low = mpc.soft_min_rad or [a.position_min_rad + room for a in axes]
         high = mpc.soft_max_rad or [a.position_max_rad - room for a in axes]
-        # All of the torque at the plan's start, less from its middle on: what is kept back lets the
-        # next ticks correct what went wrong (constraint tightening: Chisci, Rossiter, Zappa,
-        # Automatica 37, 2001), and leaves room for the encoding.
+        # Nearly all of the torque at the plan's start, less from its middle on: what is kept back
+        # lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
+        # Zappa, Automatica 37, 2001).
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
-        shares = 1 + (mpc.torque_share_end - 1) * ramp
+        shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
         return cls(
             np.outer(shares, [a.torque_limit_Nm for a in axes]),
             HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),

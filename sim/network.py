@@ -24,7 +24,7 @@ class Wire:
         if lost < c.loss:
             self.lost += 1
             return None
-        delay_us = c.delay_us + int(round((2 * jitter - 1) * c.jitter_us))
+        delay_us: int = c.delay_us + round((2 * jitter - 1) * c.jitter_us)
         return sent_us + delay_us + (c.reorder_us if late < c.reorder else 0)
 
 

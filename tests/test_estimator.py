@@ -45,17 +45,24 @@ def estimator(**changes: float) -> Estimator:
     return Estimator(prediction(), EstimatorConfig(**changes), np.full(2, PITCH))  # type: ignore[arg-type]
 
 
+START_US = 1_700_000_000_000_000
+
+
 class Waves:
-    """Tracks: each axis swings; the torque track carries the arm roughly."""
+    """Tracks: each axis swings, from rest; the torque track carries the arm roughly."""
 
     amplitude = 0.5
 
     def at(self, times_us: Times) -> Array:
-        t = np.asarray(times_us) * 1e-6
+        t = (np.asarray(times_us) - START_US) * 1e-6
         a, still = self.amplitude, np.ones_like(t)
-        position = np.stack([0.5 + a * np.sin(8 * t), 0.3 + a * np.cos(11 * t)], axis=1)
-        rate = np.stack([8 * a * np.cos(8 * t), -11 * a * np.sin(11 * t)], axis=1)
+        position = np.stack([0.5 - a * np.cos(8 * t), 0.3 + a * np.cos(11 * t)], axis=1)
+        rate = np.stack([8 * a * np.sin(8 * t), -11 * a * np.sin(11 * t)], axis=1)
         return np.hstack((position, rate, np.stack([5.0 * still, still], axis=1)))
+
+    def start(self) -> Array:
+        """Position, where the tracks rest at first."""
+        return self.at(np.array([START_US]))[0, :2]
 
 
 class Still(Waves):
@@ -63,8 +70,6 @@ class Still(Waves):
 
 
 # The order of arrival.
-
-START_US = 10_000
 
 
 @st.composite
@@ -91,7 +96,7 @@ def arrivals(draw: st.DrawFn) -> tuple[list[Sample], list[list[Sample]]]:
 
 
 def settled(filter_: Estimator) -> Estimator:
-    filter_.reset(START_US, Waves().at(np.array([START_US]))[0, :2])
+    filter_.reset(START_US, Waves().start())
     return filter_
 
 
@@ -142,7 +147,7 @@ def test_a_batch_counts_each_sample_once_in_the_statistics() -> None:
 def test_predicting_in_steps_is_predicting_along_the_tracks() -> None:
     """predict() stops at each time it is given; the disturbance wanders meanwhile."""
     filter_ = settled(estimator())
-    now = filter_.update([Sample(START_US + 500, 0, 0.54)], NOW_US, Waves())
+    now = filter_.update([Sample(START_US + 500, 0, 0.0)], NOW_US, Waves())
     times = [NOW_US + 4096, NOW_US + 8192]
     twice = filter_.predict(filter_.predict(now, times[:1], Waves()), times[1:], Waves())
     once = filter_.predict(now, times, Waves())
@@ -182,29 +187,31 @@ def model_step(z: Array, tracks: Array) -> Array:
 def matched_run(seed: int, tracks: Waves, root: Array, filter_: Estimator) -> list[float]:
     """One world and its filter; returns NEES at fixed times. The filter keeps its own NIS."""
     rng = np.random.default_rng(seed)
-    mean = np.concatenate((tracks.at(np.zeros(1, dtype=np.int64))[0, :2], np.zeros(4)))
+    mean = np.concatenate((tracks.start(), np.zeros(4)))
     z = mean + SIGMA * rng.normal(size=6)
-    filter_.reset(0, mean[:2])
-    times = np.arange(0, RUN_US + 1, STEP_US // 2)
+    filter_.reset(START_US, mean[:2])
+    times = START_US + np.arange(0, RUN_US + 1, STEP_US // 2)
     values = tracks.at(times)
     nees, batch = [], list[Sample]()
     for k in range(1, RUN_US // STEP_US + 1):
-        now_us, axis = k * STEP_US, k % 2  # each axis every ms
+        now_us, axis = START_US + k * STEP_US, k % 2  # each axis every ms
         z = model_step(z, values[2 * k - 2 : 2 * k + 1]) + root @ rng.normal(size=6)
         batch.append(Sample(now_us, axis, float(np.rint(z[axis] / PITCH) * PITCH)))
         if k % 10 == 0:
             estimate = filter_.update(batch, now_us, tracks)
             batch = []
-        if now_us % NEES_EVERY_US == 0:
+        if k * STEP_US % NEES_EVERY_US == 0:
             error = z - estimate.z
             nees.append(float(error @ np.linalg.solve(estimate.covariance, error)))
-    filter_.update([], RUN_US + 10**6, tracks)  # all but the last sample enter the statistics
+    filter_.update([], START_US + 10**6, tracks)  # all but the last sample enter the statistics
     return nees
 
 
-def band(degrees: int, count: int) -> tuple[float, float]:
-    """95 % of the means of `count` squares of `degrees` degrees of freedom lie in here."""
-    low, high = stats.chi2.ppf([0.025, 0.975], degrees * count) / count
+def band(degrees: int, count: int, tests: int = 1) -> tuple[float, float]:
+    """95 % of the means of `count` squares of `degrees` degrees of freedom lie in here; and 95 % of
+    groups of `tests` such means do with all of them (Bonferroni)."""
+    tail = 0.025 / tests
+    low, high = stats.chi2.ppf([tail, 1 - tail], degrees * count) / count
     return float(low), float(high)
 
 
@@ -227,7 +234,7 @@ def test_the_covariance_is_the_errors(tracks: Waves) -> None:
     """At each of the times, over the runs, which are independent of each other; and in all."""
     nees, _, _ = consistency(tracks)
     assert nees.shape == (RUNS, RUN_US // NEES_EVERY_US)
-    low, high = band(6, RUNS)
+    low, high = band(6, RUNS, tests=nees.shape[1])
     assert np.all((nees.mean(axis=0) > low) & (nees.mean(axis=0) < high))
     low, high = band(6, nees.size)
     assert low < nees.mean() < high
@@ -371,7 +378,7 @@ def test_a_wrong_start_is_recovered_from(offset: tuple[float, float]) -> None:
     p, truth = prediction(), np.array([0.5, 0.3])
     # Where the servos hold it under these tracks, found by the model itself.
     z = np.concatenate((truth, np.zeros(4)))
-    held = np.tile(STILL.at(np.zeros(1, dtype=np.int64)), (3, 1))
+    held = np.tile(STILL.at(np.array([START_US])), (3, 1))
     held[:, :2] = truth
     held[:, 4:] = p.holding(truth, np.zeros(2))
     np.testing.assert_allclose(model_step(z, held), z, atol=1e-12)

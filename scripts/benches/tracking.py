@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from _report import arguments, finish, goal, table
+
 from headway.configs.load import load_config
 from headway.sim.lockstep import Lockstep
 
