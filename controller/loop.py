@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Config
 from headway.controller.estimator import Estimate, Estimator, Sample
+from headway.controller.feedforward import Feedforward
 from headway.controller.mpc import Motion, Mpc, Solution
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.reference import Entry, Reference
@@ -74,10 +75,9 @@ class Tick:
     solution: Solution | None = None
     accepted: bool = False
     motion: Motion | None = None  # the encoded plan's roll-out
-    encoding_error: Array | None = None  # largest |encoded - planned torque| after 3 free knots
+    encoding_error: Array | None = None  # largest |rolled out - planned torque|, 3 free knots on
     planned_torque: Array | None = None  # largest |torque| along the roll-out
     states: list[int] = field(default_factory=list)
-    reference: Array | None = None  # at now
     estimate_us: float = 0.0
     encode_us: float = 0.0
     total_us: float = 0.0
@@ -120,6 +120,7 @@ class Loop:
         self._commitment = Commitment(remotes, self._units, config.loop)
         self._encoder = Encoder(self._prediction, self._units, config.loop)
         self._mpc = Mpc(config, self._prediction) if config.mpc.enabled else None
+        self._feedforward = Feedforward(self._prediction, config.mpc.feedforward == "model")
         nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
         self._node_us: NDArray[np.int64] = nodes.astype(np.int64)
         self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
@@ -219,7 +220,6 @@ class Loop:
         began = time.perf_counter()
         tick.now, tick.commit = self._estimate(tick.now_us, knot)
         tick.estimate_us = (time.perf_counter() - began) * 1e6
-        tick.reference = self._reference.at(np.array([(tick.now_us - self.start_us) * 1e-6]))[0][0]
         self._check_devices(tick)
         motion = self._plan(tick, commit_knot)
         outbox = self._repeat(knot)
@@ -232,7 +232,8 @@ class Loop:
         if self._passes(points, rolled, commit_knot):
             self._last = (commit_knot, rolled)
             tick.accepted, tick.motion = True, rolled
-            tick.encoding_error = np.abs(rolled.torque - motion.torque)[5:].max(axis=0)
+            departure = np.abs(rolled.torque - motion.torque)[FIXED_KNOTS + 2 :]
+            tick.encoding_error = departure.max(axis=0)
             tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
             outbox = self._join(knot, commit_knot, points)
         tick.encode_us = (time.perf_counter() - began) * 1e6
@@ -253,7 +254,8 @@ class Loop:
         commit_us = commit_knot * self._knot_us - self.start_us
         assert tick.commit is not None
         if self._mpc is None:
-            return self._feedforward((commit_us + self._knots_us.astype(np.float64)) * 1e-6)
+            knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
+            return self._feedforward.plan(self._reference, knots_s)
         position, velocity, _ = self._reference.at(
             (commit_us + self._node_us.astype(np.float64)) * 1e-6
         )
@@ -306,18 +308,3 @@ class Loop:
                 before = remote.track(sink).points(first, max(0, commit_knot + 2 - first))
                 joined[-1][sink] = np.concatenate((before, plan[sink][3:]))
         return Outbox(first, joined, commit_knot * self._knot_us)
-
-    def _feedforward(self, time_s: Array) -> Motion:
-        """The reference itself, brought to rest along its own path by slowing its time."""
-        end = time_s[-1] - time_s[0]
-        stop = 0.5 * end  # as long as the second half of the horizon
-        s = np.clip((time_s - time_s[0] - (end - stop)) / stop, 0, None)
-        warped = time_s + stop * (s**4 / 2 - s**3)
-        speed, slowing = 1 - 3 * s**2 + 2 * s**3, 6 * (s**2 - s) / stop
-        q, v, a = self._reference.at(warped)
-        velocity = v * speed[:, None]
-        acceleration = a * speed[:, None] ** 2 + v * slowing[:, None]
-        torque = np.zeros_like(q)
-        if self._config.mpc.feedforward == "model":
-            torque = self._prediction.inverse_dynamics(q, velocity, acceleration)
-        return Motion(q, velocity, torque)

@@ -50,15 +50,18 @@ class Entry:
         cubic = -10 * offset - 6 * slope - 3 * curve
         quartic = 15 * offset + 8 * slope + 3 * curve
         quintic = -6 * offset - 3 * slope - curve
-        self._coefficients = np.stack([offset, slope, curve, cubic, quartic, quintic])
+        value = np.stack([offset, slope, curve, cubic, quartic, quintic])
+        power = np.arange(6)[:, None]
+        first = value * power / h  # coefficient of s^(k-1)
+        second = first * (power - 1) / h  # of s^(k-2)
+        self._fade = value, first[1:], second[2:]
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         q, v, a = self._reference.at(time_s)
-        s = np.clip(time_s / self._duration_s, 0, 1)[:, None]
-        p = np.polynomial.polynomial.Polynomial
-        for axis, c in enumerate(self._coefficients.T):
-            fade = p(c)
-            q[:, axis] += fade(s[:, 0])
-            v[:, axis] += fade.deriv()(s[:, 0]) / self._duration_s
-            a[:, axis] += fade.deriv(2)(s[:, 0]) / self._duration_s**2
+        entering = time_s < self._duration_s
+        if entering.any():
+            s = np.clip(time_s[entering] / self._duration_s, 0, 1)
+            for target, coefficients in zip((q, v, a), self._fade, strict=True):
+                powers = np.vander(s, len(coefficients), increasing=True)
+                target[entering] += powers @ coefficients
         return q, v, a
