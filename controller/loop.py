@@ -75,8 +75,8 @@ class Tick:
     solution: Solution | None = None
     accepted: bool = False
     motion: Motion | None = None  # the encoded plan's roll-out
-    encoding_error: Array | None = None  # largest |rolled out - planned torque|, 3 free knots on
-    planned_torque: Array | None = None  # largest |torque| along the roll-out
+    encoding_error: Array | None = None  # largest |encoded - planned torque|, 3 free knots on
+    planned_torque: Array | None = None  # largest |torque| rolled out, past the committed points
     states: list[int] = field(default_factory=list)
     estimate_us: float = 0.0
     encode_us: float = 0.0
@@ -156,14 +156,17 @@ class Loop:
         tick.total_us = (time.perf_counter() - began) * 1e6
         return tick, outbox
 
-    def write(self, link: Link, outbox: Outbox, sent_us: int) -> None:
-        """Seals and sends what a tick decided; a plan that took too long is not sent at all."""
+    def write(self, link: Link, outbox: Outbox, sent_us: int) -> bool:
+        """Seals and sends what a tick decided. Returns False for a plan that took too long: then
+        only stamps are sent."""
+        in_time = sent_us < outbox.too_late_us
         for device, remote in enumerate(self._remotes):
-            if outbox.points is not None and sent_us < outbox.too_late_us:
+            if outbox.points is not None and in_time:
                 packet = remote.plan_packet(outbox.first_knot, outbox.points[device], sent_us)
             else:
                 packet = remote.sync_packet(sent_us)
             link.send(device, packet, sent_us)
+        return in_time
 
     def _synchronize(self, knot: int) -> Outbox:
         """Waits until every clock has settled, then plans to stand still where the machine is."""
@@ -171,7 +174,7 @@ class Loop:
         if self._ticks < SETTLE_TICKS or not settled:
             self.samples = self.samples[-100 * len(self._remotes) :]
             if self._ticks > 4 * SETTLE_TICKS:
-                raise DeviceError(f"no device answers within {4 * SETTLE_TICKS} ticks")
+                raise DeviceError(f"{self._unsynced()}: not synced within {4 * SETTLE_TICKS} ticks")
             return Outbox()
         position = self._standing_at()
         torque = self._prediction.holding(position, np.zeros_like(position))
@@ -194,6 +197,10 @@ class Loop:
         self._last = (self._start_knot, rest)
         self.phase = Phase.START
         return Outbox(self._start_knot, self._start_plan)
+
+    def _unsynced(self) -> str:
+        pairs = zip(self._config.machine.axes, self._remotes, strict=True)
+        return ", ".join(a.joint for a, r in pairs if not (r.status and r.status.synced))
 
     def _standing_at(self) -> Array:
         """Median of the last samples of each axis: an outlier does not move it."""
@@ -221,6 +228,8 @@ class Loop:
         tick.now, tick.commit = self._estimate(tick.now_us, knot)
         tick.estimate_us = (time.perf_counter() - began) * 1e6
         self._check_devices(tick)
+        if any(remote.silent(tick.now_us) for remote in self._remotes):
+            return Outbox()  # nobody gets a new plan: all coast to rest together
         motion = self._plan(tick, commit_knot)
         outbox = self._repeat(knot)
         if motion is None:
@@ -232,8 +241,8 @@ class Loop:
         if self._passes(points, rolled, commit_knot):
             self._last = (commit_knot, rolled)
             tick.accepted, tick.motion = True, rolled
-            departure = np.abs(rolled.torque - motion.torque)[FIXED_KNOTS + 2 :]
-            tick.encoding_error = departure.max(axis=0)
+            departure = self._encoder.departure(motion, points)[FIXED_KNOTS + 2 :]
+            tick.encoding_error = np.abs(departure).max(axis=0)
             tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
             outbox = self._join(knot, commit_knot, points)
         tick.encode_us = (time.perf_counter() - began) * 1e6
@@ -248,7 +257,13 @@ class Loop:
     def _check_devices(self, tick: Tick) -> None:
         for axis, state in zip(self._config.machine.axes, tick.states, strict=True):
             if state == HOLD:
-                raise DeviceError(f"{axis.joint}: the device came to rest and holds (link lost?)")
+                raise DeviceError(
+                    f"{axis.joint}: the device came to rest and holds: no plan reached it in time"
+                )
+        plan_us = (self._margin + self._horizon) * self._knot_us
+        for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
+            if remote.status is None or tick.now_us - remote.status.sent_us > plan_us:
+                raise DeviceError(f"{axis.joint}: the device no longer answers")
 
     def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
         commit_us = commit_knot * self._knot_us - self.start_us

@@ -129,23 +129,35 @@ class Encoder:
         quantized: Array = np.rint(points * self._scale[sink]) / self._scale[sink]
         return quantized
 
-    def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
-        """The motion that the servos make of encoded points, from state `start` (2n,)."""
-        n, h = self._n, self._h
+    def departure(self, motion: Motion, points: list[Points]) -> Array:
+        """Torque that the encoded tracks give along the planned motion, minus the planned one, at
+        the knots: (K+1, n) Nm."""
+        tracks, _ = self._track_values(points)
+        states = np.hstack((motion.position, motion.velocity))
+        departure: Array = self._prediction.law.torque(states, tracks) - motion.torque
+        return departure
+
+    def _track_values(self, points: list[Points]) -> tuple[Array, Array]:
+        """[r, r', f] at the knots (K+1, 3n) and half-way between them (K, 3n)."""
+        h = self._h
         r = np.stack([p[core.TRACK_POSITION] for p in points], axis=1)
         f = np.stack([p[core.TRACK_TORQUE] for p in points], axis=1)
         r, f = r / self._scale[core.TRACK_POSITION], f / self._scale[core.TRACK_TORQUE]
         knots = np.hstack((at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE)))
-        middles = np.hstack(
-            (at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE))
-        )
+        middle = at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE)
+        return knots, np.hstack(middle)
+
+    def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
+        """The motion that the servos make of encoded points, from state `start` (2n,)."""
+        n = self._n
+        knots, middles = self._track_values(points)
         call = self._prediction.rollout
         call.inputs[0][:, 0] = start
         call.inputs[1][...] = disturbance[:, None]
         call.inputs[2][...] = knots[:-1].T
         call.inputs[3][...] = middles.T
         call.inputs[4][...] = knots[1:].T
-        call.inputs[5][...] = h
+        call.inputs[5][...] = self._h
         states = np.vstack((start, call.run()[0].T))
         return Motion(states[:, :n], states[:, n:], self._prediction.law.torque(states, knots))
 

@@ -26,6 +26,7 @@ class Plan:
     """Points of every track from one knot on, as sent."""
 
     number: int
+    sent_us: int
     first_knot: int
     points: Points
 
@@ -33,7 +34,9 @@ class Plan:
 class Remote:
     """One device at the far end of a link."""
 
-    def __init__(self, key: bytes, session: int) -> None:
+    def __init__(self, key: bytes, session: int, patience_us: int) -> None:
+        """`patience_us`: what has no answer after this long counts as lost."""
+        self._patience_us = patience_us
         self._session = _core.Session(key, session)
         self._held = {sink: _core.Track() for sink in SINKS}
         self._presumed: dict[int, _core.Track] = {}
@@ -67,9 +70,17 @@ class Remote:
             if behind < 32 and status.accepted_mask >> behind & 1:
                 for sink, points in plan.points.items():
                     self._held[sink].write(plan.first_knot, points)
+        while self._pending and self._pending[0].sent_us + self._patience_us < status.sent_us:
+            self._pending.pop(0)  # it had time to arrive
         if status.accepted_mask & 1 == 0 and status.plan_seen > self._doomed:
             self._doomed = self.number
         self._presumed = {}
+
+    def silent(self, now_us: int) -> bool:
+        """Whether the last status, or the answer to a plan, is overdue."""
+        if self.status is None or now_us - self.status.sent_us > self._patience_us:
+            return True
+        return bool(self._pending) and now_us - self._pending[0].sent_us > self._patience_us
 
     def track(self, sink: int) -> _core.Track:
         """The track as it will be once what is under way has arrived."""
@@ -88,7 +99,7 @@ class Remote:
     def plan_packet(self, first_knot: int, points: Points, sent_us: int) -> bytes:
         """Seals a plan and remembers it as under way."""
         self.number += 1
-        plan = Plan(self.number, first_knot, points)
+        plan = Plan(self.number, sent_us, first_knot, points)
         payload = _core.plan_encode(self._stamps(sent_us), self.number, first_knot, points)
         self._pending.append(plan)
         for sink, track in self._presumed.items():

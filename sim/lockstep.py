@@ -18,6 +18,7 @@ from headway.controller.estimator import Sample
 from headway.controller.loop import Loop, Phase, Tick
 from headway.controller.reference import Sines
 from headway.devices.axis import device_settings
+from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
 from headway.firmware import _core
 from headway.models.machine import load_machine
@@ -98,7 +99,7 @@ class Lockstep:
         settings.key = key
         drift_ppb = round(world.uniform(-1, 1) * config.sim.clocks.drift_ppm * 1000)
         self.plant.nodes[device].flash(settings, int(world.integers(2**32)), drift_ppb)
-        return Remote(key, device + 1)
+        return Remote(key, device + 1, COAST_KNOTS * config.loop.knot_us)
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:
         """From power-up through the task's duration to rest; `progress` gets seconds of the task.
@@ -129,8 +130,6 @@ class Lockstep:
         sim = self.config.sim
         running = self.loop.phase is Phase.RUN
         task_s = self.task_s(now_us) if running else -1.0
-        if sim.kill_host_at_s is not None and task_s >= sim.kill_host_at_s:
-            return
         if now_us < self._busy_until_us:  # the last tick is still at work: this one is skipped
             self.deadline_misses += running
             return
@@ -141,8 +140,12 @@ class Lockstep:
         self.loop.read(self.link, now_us)
         self._corrupt(self.loop.samples)
         tick, outbox = self.loop.tick(now_us)
-        self.loop.write(self.link, outbox, now_us + compute_us)
-        self._busy_until_us = now_us + compute_us
+        sent_us = self._busy_until_us = now_us + compute_us
+        kill_s = sim.kill_host_at_s
+        if running and kill_s is not None and self.task_s(sent_us) >= kill_s:
+            return
+        in_time = self.loop.write(self.link, outbox, sent_us)
+        self.deadline_misses += running and not in_time
         if tick.phase is Phase.RUN:
             self.ticks += 1
             self._note(tick)

@@ -14,13 +14,14 @@ class Wire:
 
     def __init__(self, channel: Channel, rng: np.random.Generator) -> None:
         self._channel, self._rng = channel, rng
-        self.sent = self.lost = 0
+        self.sent = self.lost = self.last_sent_us = 0
 
     def carry(self, sent_us: int) -> int | None:
         """Arrival time of a packet sent at `sent_us`, or None if it is lost."""
         c = self._channel
         lost, late, jitter = self._rng.random(3).tolist()
         self.sent += 1
+        self.last_sent_us = sent_us
         if lost < c.loss:
             self.lost += 1
             return None

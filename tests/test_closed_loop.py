@@ -88,7 +88,9 @@ def test_ten_thousand_ticks_under_mismatch(margin_us, limit_mrad):
     frequency_Hz = np.fft.rfftfreq(len(error), 1e-3)
     share = spectrum[frequency_Hz > 10].sum(axis=0) / spectrum.sum(axis=0)
     assert np.all(share < 0.35), share
-    assert lockstep.record.arrays()["accepted"].all()
+    record = lockstep.record.arrays()
+    assert record["accepted"][np.isfinite(record["iterations"])].all()
+    assert np.nanmax(record["encoding_error"]) <= 0.05  # Nm, past the first three free knots
 
 
 def test_the_fast_reference_saturates_without_windup():
@@ -228,6 +230,8 @@ def test_setpoints_rest_within_margin_and_horizon(stops):
 
 def test_the_arm_is_slow_25_ms_after_its_setpoints_rest(stops):
     assert max(np.abs(s[rest_index(s) + 25, 3:5]).max() for s in stops) < 0.1
+    # Under load the stretched arm swings once more before it stands.
+    assert max(np.abs(s[rest_index(s) + 25 :, 3:5]).max() for s in stops) < 0.13
 
 
 def test_the_arm_is_in_place_a_quarter_second_later_and_does_not_sag(stops):
@@ -250,13 +254,32 @@ def test_the_stop_stays_inside_all_limits(stops):
 def test_a_killed_host_in_a_whole_run():
     """The same through `sim.kill_host_at_s`: no message after it, every axis holds."""
     lockstep = closed_loop("duration_s=2", "sim.kill_host_at_s=1.2")
-    sent = lockstep.link.to_device[0].sent
-    assert sent < lockstep.loop._ticks + 1
+    last_us = max(wire.last_sent_us for wire in lockstep.link.to_device)
+    assert 1.19 < lockstep.task_s(last_us + lockstep.epoch_us) < 1.2
     record = lockstep.record.arrays()
-    assert record["tick_s"].max() < 1.2
     assert lockstep.device_states() == ["HOLD", "HOLD"]
     rest = record["truth_s"] > 1.2 + 0.012288 + 0.180224 + 0.3
     assert np.ptp(record["truth_position"][rest], axis=0).max() < 1e-3
+
+
+def test_one_dead_device_takes_the_others_to_rest():
+    """Both wires of q2 are cut while the task runs: q1 must not go on alone."""
+    lockstep = Lockstep(load_config(CONFIGS / "arm2.yaml", ["duration_s=3"]), CONFIGS)
+    tick = lockstep._host_tick
+
+    def cut(now_us: int) -> None:
+        if lockstep.ticks == 250:
+            for wires in (lockstep.link.to_device, lockstep.link.to_host):
+                wires[1].carry = lambda sent_us: None
+        tick(now_us)
+
+    lockstep._host_tick = cut
+    with pytest.raises(DeviceError, match=r"q1.*rest|q2.*answers"):
+        lockstep.run()
+    record = lockstep.record.arrays()
+    gone = record["truth_s"][-1] - 250 * 0.004096
+    assert 0.2 < gone < 0.5  # noticed when the plan has run out
+    assert np.abs(record["setpoint"][-1][[1, 4]]).max() == 0  # both setpoints at rest
 
 
 def test_no_acknowledgement_no_motion():

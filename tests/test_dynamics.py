@@ -156,11 +156,13 @@ HINGE = BODY + '<joint name="{}" axis="0 1 0"/>'
             "joints j, MuJoCo j, k",
         ),
         (
-            f'<body name="base" euler="0 60 0"><geom size="0.1"/><body name="a">{HINGE.format("j")}</body></body>',
+            '<body name="base" euler="0 60 0"><geom size="0.1"/>'
+            f'<body name="a">{HINGE.format("j")}</body></body>',
             "bias force",
         ),
         (
-            f'<body>{HINGE.format("j")}<body pos="1 0 0">{HINGE.format("k")}<body pos="1 0 0">{HINGE.format("l")}</body></body></body>',
+            f'<body>{HINGE.format("j")}<body pos="1 0 0">{HINGE.format("k")}'
+            f'<body pos="1 0 0">{HINGE.format("l")}</body></body></body>',
             "joints k, l, MuJoCo j, k, l",
         ),
     ],

@@ -106,6 +106,15 @@ def test_packets_overtake_each_other_only_where_they_can() -> None:
     assert late == pytest.approx(0.09, abs=0.02)
 
 
+def test_being_late_is_independent_of_loss_and_jitter() -> None:
+    line = wire(7, delay_us=3000, jitter_us=1000, loss=0.5, reorder=0.5, reorder_us=100_000)
+    arrived = np.array([a for a in (line.carry(0) for _ in range(MANY)) if a is not None])
+    late = arrived > 50_000
+    assert abs(late.mean() - 0.5) < 4 * 0.5 / math.sqrt(len(arrived))
+    slow = (arrived - 100_000 * late) > 3000
+    assert abs((late & slow).mean() - 0.25) < 4 * math.sqrt(0.25 * 0.75 / len(arrived))
+
+
 # The mailbox.
 
 

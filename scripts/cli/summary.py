@@ -96,7 +96,7 @@ def _tracking(arrays: Arrays) -> dict[str, Any]:
     """The plant's true position against the task's reference."""
     judged = _judged(arrays["truth_s"], arrays)
     error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[judged]
-    return {"rms": _rms(error), "max": _max(error), "unit": "mrad"}
+    return {"rms": _rms(error), "max": _max(error), "unit": ["mrad"] * error.shape[1]}
 
 
 def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
