@@ -134,6 +134,14 @@ def test_a_soft_limit_that_cuts_the_reference_is_held():
     assert np.abs(record["truth_position"] - reference)[away].max() < 10e-3
 
 
+def test_a_soft_limit_from_below_gives_a_few_mrad():
+    """The unmodelled weight of the arm pulls down: 3.2 mrad were measured."""
+    low = "mpc.soft_min_rad=[0.2, 0.1]"
+    record = closed_loop("duration_s=4", "mpc.soft_max_rad=[2, 2]", low).record.arrays()
+    assert np.all(record["truth_reference"].min(axis=0) < [0.0, 0.0])
+    assert np.all(record["truth_position"].min(axis=0) > [0.2 - 5e-3, 0.1 - 5e-3])
+
+
 def test_a_start_outside_the_soft_limits_recovers_smoothly():
     lockstep = closed_loop("duration_s=3", *SOFT, "sim.start_rad=[1.5, 1.1]")
     record = lockstep.record.arrays()
