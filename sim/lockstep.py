@@ -130,6 +130,9 @@ class Lockstep:
         sim = self.config.sim
         running = self.loop.phase is Phase.RUN
         task_s = self.task_s(now_us) if running else -1.0
+        kill_s = np.inf if sim.kill_host_at_s is None else sim.kill_host_at_s
+        if task_s >= kill_s:
+            return
         if now_us < self._busy_until_us:  # the last tick is still at work: this one is skipped
             self.deadline_misses += running
             return
@@ -141,8 +144,7 @@ class Lockstep:
         self._corrupt(self.loop.samples)
         tick, outbox = self.loop.tick(now_us)
         sent_us = self._busy_until_us = now_us + compute_us
-        kill_s = sim.kill_host_at_s
-        if running and kill_s is not None and self.task_s(sent_us) >= kill_s:
+        if running and self.task_s(sent_us) >= kill_s:  # it died at work
             return
         in_time = self.loop.write(self.link, outbox, sent_us)
         self.deadline_misses += running and not in_time

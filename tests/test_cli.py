@@ -65,7 +65,7 @@ SHAPE: dict[str, Any] = {
     "rate_hz": float,
     "margin_us": int,
     "axes": [str, str],
-    "tracking": {"rms": AXES, "max": AXES, "unit": str},
+    "tracking": {"rms": AXES, "max": AXES, "unit": [str] * 2},
     "estimate": {"rms_now": STATES, "rms_commit": STATES, "nis_mean": float},
     "torque": {
         "max_abs": AXES,

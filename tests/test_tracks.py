@@ -200,7 +200,7 @@ def test_encoding_a_smooth_motion_errs_by_less_than_a_count() -> None:
 
 
 def test_encoding_a_smooth_motion_gives_its_torque() -> None:
-    assert max(torque_error(*encoding)[FREE:].max() for encoding in chain()) <= 0.05
+    assert max(torque_error(*encoding)[FREE:].max() for encoding in chain()) <= 0.01
 
 
 def test_a_plan_ends_at_rest_in_the_holding_torque() -> None:
