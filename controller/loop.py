@@ -260,9 +260,13 @@ class Loop:
                 raise DeviceError(
                     f"{axis.joint}: the device came to rest and holds: no plan reached it in time"
                 )
-        plan_us = (self._margin + self._horizon) * self._knot_us
+        # By then the others, who got plans until this one fell silent, have come to rest as well.
+        rest_knots = self._margin + self._horizon + core.COAST_KNOTS + 1
         for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
-            if remote.status is None or tick.now_us - remote.status.sent_us > plan_us:
+            if (
+                remote.status is None
+                or tick.now_us - remote.status.sent_us > rest_knots * self._knot_us
+            ):
                 raise DeviceError(f"{axis.joint}: the device no longer answers")
 
     def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
