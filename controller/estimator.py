@@ -76,7 +76,9 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]
     def __init__(self, prediction: Prediction) -> None:
         self._n = n = prediction.n
         super().__init__(dim_x=3 * n, dim_z=1)
-        self.x = np.zeros(3 * n)  # (n,), not (n, 1): see docs on filterpy's shapes
+        self.x = np.zeros(
+            3 * n
+        )  # not (n, 1), which a 1-D measurement would silently grow to a matrix
         self.F = np.eye(3 * n)
         self._step = prediction.step
         self.tracks = np.zeros((3, 3 * n))

@@ -22,7 +22,7 @@ from headway.devices.remote import Points, Remote
 
 Array = NDArray[np.float64]
 
-POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: r closes in on q* over about 3 knots
+POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: of a step, half is gone after 5 knots
 TORQUE_CURVATURE_WEIGHT = 0.002
 
 VALUE = np.array([1.0, 4.0, 1.0]) / 6  # of c[k-1], c[k], c[k+1] at knot k
