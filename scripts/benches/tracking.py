@@ -27,6 +27,12 @@ IDEAL = [
     "sim.compute_us=0",
 ]
 SHIPPED_GAINS = ((120.0, 6.0), (60.0, 2.0))
+# For the phase margin of swept gains: back-EMF's damping, the largest inertia of the model about
+# each joint (arm stretched), and the lag of sampling: half a hold and half a difference.
+EMF_DAMPING = (2.88, 0.72)  # Nm s/rad
+INERTIA = (0.251, 0.0332)  # kg m^2
+LAG_S = 1e-3
+PHASE_MARGIN_MIN_DEG = 30.0  # Astrom and Murray, Feedback Systems, 2008, section 11.3: 30 to 60
 
 
 def gains(kp: float, kd: float, ki: float) -> list[str]:
@@ -40,6 +46,24 @@ def gains(kp: float, kd: float, ki: float) -> list[str]:
             f"{servo}.ki_Nm_per_rad_s={ki * kp * shipped_kp}",
         ]
     return settings
+
+
+def phase_margin_deg(kp: float, kd: float, ki: float) -> float:
+    """The smaller of both joints' phase margins, at factors on the shipped gains."""
+    margins = []
+    w = np.geomspace(1, 2000, 20000)
+    for (shipped_kp, shipped_kd), emf, inertia in zip(
+        SHIPPED_GAINS, EMF_DAMPING, INERTIA, strict=True
+    ):
+        p, d = kp * shipped_kp, kd * shipped_kd + emf
+        loop = (
+            (p + d * 1j * w + ki * p / (1j * w))
+            * np.exp(-1j * w * LAG_S)
+            / (inertia * (1j * w) ** 2)
+        )
+        crossover = np.nonzero(np.abs(loop) > 1)[0].max()
+        margins.append(180 + np.degrees(np.unwrap(np.angle(loop))[crossover]))
+    return float(min((m + 180) % 360 - 180 for m in margins))
 
 
 def run(job: tuple[str, list[str], int, float]) -> dict[str, Any]:
@@ -75,7 +99,7 @@ def sweep(pool: Executor, base: list[str], long: bool) -> list[dict[str, Any]]:
     for (kp, kd, ki), result in zip(grid, pool.map(run, jobs), strict=True):
         rms, noise = result["rms"], result["noise"]
         rows.append({
-            "Kp x": kp, "Kd x": kd, "Ki/Kp 1/s": ki,
+            "Kp x": kp, "Kd x": kd, "Ki/Kp 1/s": ki, "phase margin": phase_margin_deg(kp, kd, ki),
             "rms q1 mrad": rms[0], "rms q2 mrad": rms[1],
             "noise q1 Nm": noise[0], "noise q2 Nm": noise[1],
         })  # fmt: skip
@@ -83,12 +107,14 @@ def sweep(pool: Executor, base: list[str], long: bool) -> list[dict[str, Any]]:
 
 
 def best(rows: list[dict[str, Any]], noise: Any = (np.inf, np.inf)) -> list[str]:
-    """Gains with the least RMS (sum of both axes) among the rows with no more noise than `noise`,
-    give or take 2 %."""
+    """Gains with the least RMS (sum of both axes) among the rows with a phase margin a drive can
+    live with and no more noise than `noise`, give or take 2 %."""
     quiet = [
         row
         for row in rows
-        if row["noise q1 Nm"] <= 1.02 * noise[0] and row["noise q2 Nm"] <= 1.02 * noise[1]
+        if row["phase margin"] >= PHASE_MARGIN_MIN_DEG
+        and row["noise q1 Nm"] <= 1.02 * noise[0]
+        and row["noise q2 Nm"] <= 1.02 * noise[1]
     ]
     row = min(quiet, key=lambda r: r["rms q1 mrad"] + r["rms q2 mrad"])
     return gains(row["Kp x"], row["Kd x"], row["Ki/Kp 1/s"])
