@@ -178,7 +178,7 @@ class Sim(Section):
     to_device: Channel = Channel()
     to_host: Channel = Channel()
     clocks: Clocks = Clocks()
-    # About the measured median of a tick on two shared cores. Its p99.9 there, 5.4 ms, is above a knot.
+    # About the median of a tick as measured on two shared cores; its p99.9 there is 5.4 ms.
     compute_us: Delay = 2500
     start_rad: list[Finite] | None = None  # default: where the task starts
     outlier_share: Share = 0.0  # samples replaced by nonsense before the controller sees them
