@@ -1,9 +1,4 @@
-"""The prediction model: the machine together with the servo loops that track its tracks.
-
-tau = clip(f + Kp (r - q) + (Kd + c)(r' - v)), with r and f the position and torque tracks. c is the
-motor's: its voltage is set for the track's speed, so a speed error meets the back-EMF,
-c = (gear Kt)^2 / R.
-"""
+"""The prediction model: the machine together with the servo loops that track its tracks."""
 
 from __future__ import annotations
 
@@ -15,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Axis
+from headway.controller.equations import LAW_ROWS, Equations, runge_kutta
 from headway.models.codegen import Call, compile_functions
-from headway.models.dynamics import forward_dynamics, inverse_dynamics
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
-
-COULOMB_SPEED = 0.03  # [rad/s], over which the friction's sign is smoothed
 
 
 @dataclass(frozen=True)
@@ -46,6 +39,11 @@ class ServoLaw:
             np.array([a.coulomb_Nm for a in axes]),
         )
 
+    @property
+    def parameters(self) -> Array:
+        """As the equations of motion take them (4n)."""
+        return np.concatenate((self.kp, self.kd + self.emf, self.limit, self.coulomb))
+
     def torque(self, x: Array, tracks: Array) -> Array:
         """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 3n)."""
         n = len(self.kp)
@@ -55,60 +53,35 @@ class ServoLaw:
         return torque
 
 
-def runge_kutta(derivative: Any, x: Any, start: Any, middle: Any, end: Any, dt: Any) -> Any:
-    """One classical fourth-order step; the inputs are given at its start, middle and end."""
-    k1 = derivative(x, start)
-    k2 = derivative(x + dt / 2 * k1, middle)
-    k3 = derivative(x + dt / 2 * k2, middle)
-    k4 = derivative(x + dt * k3, end)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
 class Prediction:
     """Compiled functions of one machine: closed-loop steps for the estimator and the roll-out,
     open-loop linearization for the optimal control problem, and inverse dynamics.
 
     States are x = [q, v] (2n); `tracks` are [r, r', f] (3n); d is the disturbance torque (n).
+
+        step       x, d, tracks at start, middle and end, dt   to x after, its Jacobian in [x, d]
+        rollout    the same for `horizon_knots` steps in a row to each x after
+        linearize  x, torques u0 at start and u1 at end, d, dt, for each of `intervals`
+                   to x after, its Jacobians in x, u0, u1
     """
 
     def __init__(self, machine: Machine, law: ServoLaw, intervals: int, horizon_knots: int) -> None:
-        n = len(law.kp)
-        self.law, self.n, self.horizon_knots = law, n, horizon_knots
-        tree = machine.tree
-        x, d, dt = ca.SX.sym("x", 2 * n), ca.SX.sym("d", n), ca.SX.sym("dt")
-        u0, u1 = ca.SX.sym("u0", n), ca.SX.sym("u1", n)
-        tracks = [ca.SX.sym(f"tracks{i}", 3 * n) for i in range(3)]
-        q, v, a = (ca.SX.sym(name, n) for name in "qva")
-
-        def friction(v: Any) -> Any:
-            return law.coulomb * ca.tanh(v / COULOMB_SPEED)
-
-        def driven(x: Any, torque: Any) -> Any:
-            net = torque + d - friction(x[n:])
-            return ca.vertcat(x[n:], forward_dynamics(tree, x[:n], x[n:], net))
-
-        def servoed(x: Any, tracks: Any) -> Any:
-            r, rate, f = tracks[:n], tracks[n : 2 * n], tracks[2 * n :]
-            torque = f + law.kp * (r - x[:n]) + (law.kd + law.emf) * (rate - x[n:])
-            return driven(x, ca.fmin(ca.fmax(torque, -law.limit), law.limit))
-
-        after = runge_kutta(servoed, x, tracks[0], tracks[1], tracks[2], dt)
-        jacobian = ca.densify(ca.jacobian(after, ca.vertcat(x, d)))
-        step = ca.Function("step", [x, d, *tracks, dt], [after, jacobian])
-        advance = ca.Function("advance", [x, d, *tracks, dt], [after])
-        rollout = advance.mapaccum("rollout", horizon_knots)
-        forced = runge_kutta(driven, x, u0, (u0 + u1) / 2, u1, dt)
-        parts = [ca.densify(ca.jacobian(forced, z)) for z in (x, u0, u1)]
-        interval = ca.Function("interval", [x, u0, u1, d, dt], [forced, *parts])
-        linearize = interval.map("linearize", "serial", intervals, [3, 4], [])
-        torque = inverse_dynamics(tree, q, v, a) + friction(v)
-        inverse = ca.Function("inverse", [q, v, a], [ca.densify(torque)])
-        functions = [step, rollout, linearize, inverse]
+        self.law, self.n, self.horizon_knots = law, len(law.kp), horizon_knots
+        equations = Equations(machine.tree)
+        rollout = _advance(equations).mapaccum("rollout", horizon_knots)
+        linearize = _interval(equations).map("linearize", "serial", intervals, [3, 4, 5], [])
+        functions = [_step(equations), rollout, linearize, equations.inverse]
         compiled = compile_functions("machine", functions)
-        self.step = Call(compiled["step"])
-        self.rollout = Call(compiled["rollout"])
-        self.linearize = Call(compiled["linearize"])
-        self._inverse = Call(compiled["inverse"])
+        self.step = self._bind(compiled["step"])
+        self.rollout = self._bind(compiled["rollout"])
+        self.linearize = self._bind(compiled["linearize"])
+        self._inverse = self._bind(compiled["inverse"])
+
+    def _bind(self, function: ca.Function) -> Call:
+        """The last input of each is the servo law, which does not change."""
+        call = Call(function)
+        call.fix_last(self.law.parameters[:, None])
+        return call
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Motor torques [Nm] of the motion (m, n) by the model."""
@@ -124,3 +97,53 @@ class Prediction:
         still = np.zeros_like(q)[None]
         torque: Array = self.inverse_dynamics(q[None], still, still)[0] - disturbance
         return torque
+
+
+def _symbols(n: int) -> tuple[Any, ...]:
+    """x, d, dt, law."""
+    sizes = {"x": 2 * n, "d": n, "dt": 1, "law": LAW_ROWS * n}
+    return tuple(ca.MX.sym(name, size) for name, size in sizes.items())
+
+
+def _advance(equations: Equations) -> ca.Function:
+    """One servoed step."""
+    x, d, dt, law = _symbols(equations.n)
+    tracks = [ca.MX.sym(f"tracks{i}", 3 * equations.n) for i in range(3)]
+
+    def rate(x: Any, tracks: Any) -> Any:
+        return equations.servoed(x, tracks, d, law)
+
+    return ca.Function("advance", [x, d, *tracks, dt, law], [runge_kutta(rate, x, *tracks, dt)])
+
+
+def _step(equations: Equations) -> ca.Function:
+    """One servoed step with its Jacobian in [x, d]."""
+    n = equations.n
+    x, d, dt, law = _symbols(n)
+    tracks = [ca.MX.sym(f"tracks{i}", 3 * n) for i in range(3)]
+    by_d = ca.horzcat(ca.DM(n, 2 * n), ca.DM.eye(n))
+
+    def rate(xs: Any, tracks: Any) -> Any:
+        return equations.along(equations.servoed_slope(xs[:, 0], tracks, d, law), xs, by_d)
+
+    start = ca.horzcat(x, ca.DM.eye(2 * n), ca.DM(2 * n, n))
+    after = ca.densify(runge_kutta(rate, start, *tracks, dt))
+    return ca.Function("step", [x, d, *tracks, dt, law], [after[:, 0], after[:, 1:]])
+
+
+def _interval(equations: Equations) -> ca.Function:
+    """One driven step, the torque going linearly from u0 to u1, with its Jacobians."""
+    n = equations.n
+    x, d, dt, law = _symbols(n)
+    u0, u1 = ca.MX.sym("u0", n), ca.MX.sym("u1", n)
+    by_u0 = ca.horzcat(ca.DM(n, 2 * n), ca.DM.eye(n), ca.DM(n, n))
+    by_u1 = ca.horzcat(ca.DM(n, 3 * n), ca.DM.eye(n))
+
+    def rate(xs: Any, share: float) -> Any:
+        u, by_u = (1 - share) * u0 + share * u1, (1 - share) * by_u0 + share * by_u1
+        return equations.along(equations.driven_slope(xs[:, 0], u, d, law), xs, by_u)
+
+    start = ca.horzcat(x, ca.DM.eye(2 * n), ca.DM(2 * n, 2 * n))
+    after = ca.densify(runge_kutta(rate, start, 0.0, 0.5, 1.0, dt))
+    parts = ca.horzsplit(after, [0, 1, 1 + 2 * n, 1 + 3 * n, 1 + 4 * n])
+    return ca.Function("interval", [x, u0, u1, d, dt, law], parts)

@@ -92,6 +92,11 @@ class Call:
             self.outputs.append(np.zeros(function.size_out(i), order="F"))
             self._buffer.set_res(i, memoryview(self.outputs[i].T))  # type: ignore[call-arg, arg-type]
 
+    def fix_last(self, value: NDArray[np.float64]) -> None:
+        """Gives the last input its value for good: it is no longer among `inputs`."""
+        self._fixed = self.inputs.pop()  # kept, since the function reads it at each run
+        self._fixed[:] = value
+
     def run(self) -> list[NDArray[np.float64]]:
         """Evaluates; returns `outputs`, which the next run overwrites."""
         self._evaluate()

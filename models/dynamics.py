@@ -141,3 +141,23 @@ def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:
         result.append((torque[j] - ca.dot(force[j], a)) / diagonal[j])
         acceleration.append(a + ca.SX(tree.axis[j]) * result[j])
     return ca.vertcat(*result)
+
+
+def forward_derivatives(tree: Tree, q: Any, v: Any, tau: Any) -> tuple[Any, Any, Any]:
+    """Joint accelerations (n,) under joint torques `tau`, their Jacobian in [q, v] (n, 2n) and the
+    inverse mass matrix (n, n), which is their Jacobian in tau.
+
+    By the implicit function theorem on inverse dynamics ID(q, v, a) = tau, which is a third of the
+    operations of differentiating the recursion of `forward_dynamics`: J. Carpentier, N. Mansard,
+    Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018, section V.
+    """
+    n = tree.count
+    free = ca.SX.sym("a", n)
+    torque = inverse_dynamics(tree, q, v, free)
+    mass = ca.jacobian(torque, free)
+    root = ca.solve(ca.chol(mass), ca.SX.eye(n))
+    inverse = root @ root.T
+    bias = ca.substitute(torque, free, ca.SX.zeros(n))
+    a = inverse @ (tau - bias)
+    state = -inverse @ ca.substitute(ca.jacobian(torque, ca.vertcat(q, v)), free, a)
+    return a, state, inverse

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from headway.configs.load import load_config
-from headway.controller.prediction import COULOMB_SPEED, Prediction, ServoLaw
+from headway.controller.equations import COULOMB_SPEED
+from headway.controller.prediction import Prediction, ServoLaw
 from headway.models.dynamics import Tree, forward_dynamics, inverse_dynamics
 from headway.models.machine import Machine, load_machine
 from headway.sim.plant import BRAKE
