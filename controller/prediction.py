@@ -105,10 +105,16 @@ def _symbols(n: int) -> tuple[Any, ...]:
     return tuple(ca.MX.sym(name, size) for name, size in sizes.items())
 
 
+def _tracks(n: int) -> tuple[Any, Any, Any]:
+    """Tracks at a step's start, middle and end."""
+    start, middle, end = (ca.MX.sym(f"tracks_{at}", 3 * n) for at in ("start", "middle", "end"))
+    return start, middle, end
+
+
 def _advance(equations: Equations) -> ca.Function:
     """One servoed step."""
     x, d, dt, law = _symbols(equations.n)
-    tracks = [ca.MX.sym(f"tracks{i}", 3 * equations.n) for i in range(3)]
+    tracks = _tracks(equations.n)
 
     def rate(x: Any, tracks: Any) -> Any:
         return equations.servoed(x, tracks, d, law)
@@ -120,7 +126,7 @@ def _step(equations: Equations) -> ca.Function:
     """One servoed step with its Jacobian in [x, d]."""
     n = equations.n
     x, d, dt, law = _symbols(n)
-    tracks = [ca.MX.sym(f"tracks{i}", 3 * n) for i in range(3)]
+    tracks = _tracks(n)
     by_d = ca.horzcat(ca.DM(n, 2 * n), ca.DM.eye(n))
 
     def rate(xs: Any, tracks: Any) -> Any:
