@@ -69,7 +69,7 @@ class Device(Section):
     """What all boards of the machine share."""
 
     servo_period_us: Annotated[int, Field(ge=100, le=10000)] = 1000
-    sample_every: Annotated[int, Field(ge=1, le=100)] = 1  # servo periods
+    sample_every: Annotated[int, Field(ge=1, le=100)] = 2  # servo periods
     integrate_while_running: bool = False
 
 
@@ -112,22 +112,22 @@ class Mpc(Section):
 
     enabled: bool = True  # off: the reference itself is streamed
     feedforward: Literal["none", "model"] = "model"  # with mpc off: the torque track
-    horizon_us: Annotated[int, Field(ge=20000, le=2000000)] = 180224
-    intervals: Annotated[int, Field(ge=4, le=200)] = 22
+    horizon_us: Annotated[int, Field(ge=20000, le=2000000)] = 212992
+    intervals: Annotated[int, Field(ge=4, le=200)] = 26
     position_weight: Positive = 1.0e6  # 1/rad^2
     velocity_weight: NotNegative = 2.0e2  # s^2/rad^2
     torque_step_weight: NotNegative = 0.5  # 1/Nm^2, on the change from node to node
     torque_start_weight: NotNegative = 20.0  # 1/Nm^2, on the jump from the committed torque
     # Shares of the horizon between which tracking gives way to stopping.
-    fade_start: Share = 0.35
-    fade_end: Share = 0.65
+    fade_start: Share = 0.22
+    fade_end: Share = 0.45
     # Share of the torque limit that is planned from the horizon's middle on. Less makes the plan
     # give way earlier to a reference that asks for more torque than there is.
     torque_share_end: Annotated[float, Field(gt=0, le=1)] = 0.85
     soft_min_rad: list[Finite] | None = None
     soft_max_rad: list[Finite] | None = None
     soft_weight: Positive = 1.0e7
-    max_iterations: Annotated[int, Field(ge=10, le=100000)] = 200
+    max_iterations: Annotated[int, Field(ge=10, le=100000)] = 150
 
 
 class Estimator(Section):
@@ -178,8 +178,8 @@ class Sim(Section):
     to_device: Channel = Channel()
     to_host: Channel = Channel()
     clocks: Clocks = Clocks()
-    # About the median of a tick as measured on two shared cores; its p99.9 there is 5.4 ms.
-    compute_us: Delay = 2500
+    # The p99.9 of a tick of arm2 on two shared cores, as measured (docs/performance.md).
+    compute_us: Delay = 3500
     start_rad: list[Finite] | None = None  # default: where the task starts
     outlier_share: Share = 0.0  # samples replaced by nonsense before the controller sees them
     stall_host_at_s: NotNegative | None = None  # a tick overruns ...

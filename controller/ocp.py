@@ -33,6 +33,7 @@ HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points
 # barrier functions: theory and applications", 2019).
 APPROACH_S = 0.1
 RETURN_S = 0.4  # time constant of the way back into the soft limits
+ROOM = 4e-3  # that a plan keeps to a position limit: what the model does not know goes there [rad]
 UNBOUNDED = 1e20
 # A plan whose constraints hold within these is believed: rad, rad/s, Nm.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE = 3e-4, 1e-2, 5e-2
@@ -53,9 +54,8 @@ class Limits:
     def of(cls, config: Config) -> Limits:
         """The plan's limits: shares of the device's, and the soft position limits."""
         axes, mpc = config.machine.axes, config.mpc
-        room = 2e-3  # to the device's hard limits, where no soft ones are given [rad]
-        low = mpc.soft_min_rad or [a.position_min_rad + room for a in axes]
-        high = mpc.soft_max_rad or [a.position_max_rad - room for a in axes]
+        low = mpc.soft_min_rad or [a.position_min_rad for a in axes]
+        high = mpc.soft_max_rad or [a.position_max_rad for a in axes]
         # Nearly all of the torque at the plan's start, less from its middle on: what is kept back
         # lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
         # Zappa, Automatica 37, 2001).
@@ -65,8 +65,8 @@ class Limits:
             np.outer(shares, [a.torque_limit_Nm for a in axes]),
             HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),
             HULL_SHARE * np.array([a.acceleration_limit_rad_per_s2 for a in axes]),
-            np.array(low),
-            np.array(high),
+            np.array(low) + ROOM,
+            np.array(high) - ROOM,
         )
 
 

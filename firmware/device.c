@@ -187,8 +187,7 @@ static void send_status(struct device *device, struct board *board, uint32_t cou
     status->sent_us = clock_at(&device->clock, count_us);
     status->state = device->state;
     status->synced = device->clock.synced;
-    status->sample_count =
-        (uint8_t)history_pop(&device->history, status->samples, STATUS_SAMPLES_MAX);
+    status->sample_count = (uint8_t)history_report(&device->history, status->samples);
     int32_t size = status_encode(status, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX);
     size = frame_seal(&device->session, FRAME_STATUS, frame, size);
     board_send(board, packet, cobs_encode(frame, size, packet));

@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define STATUS_SAMPLES_MAX 32
+#define STATUS_SAMPLES_MAX HISTORY_SAMPLES
 
 struct counters {
     uint32_t plans_accepted;

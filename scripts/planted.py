@@ -70,10 +70,10 @@ BUGS = (
     ),
     Bug(
         "disturbance sign",
-        "controller/prediction.py",
-        "net = torque + d - friction(x[n:])",
-        "net = torque - d - friction(x[n:])",
-        "tests/test_estimator.py::test_a_step_of_the_disturbance_is_found_in_50_ms[1-0]",
+        "controller/equations.py",
+        "net = drive + d - friction",
+        "net = drive - d - friction",
+        "tests/test_estimator.py::test_a_step_of_the_disturbance_is_found_in_60_ms[1-0]",
     ),
     Bug(
         "late sample dropped",

@@ -3,6 +3,7 @@
 #ifndef HEADWAY_SIM_BOARD_H
 #define HEADWAY_SIM_BOARD_H
 
+#include "cobs.h"
 #include "device.h"
 
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
@@ -12,7 +13,7 @@
 struct parcel {
     int64_t time_us; // arrival or departure, true time
     int32_t size;    // 0: empty
-    uint8_t bytes[1040];
+    uint8_t bytes[BOARD_PACKET_MAX];
 };
 
 struct board {

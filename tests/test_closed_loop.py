@@ -121,7 +121,7 @@ def test_a_soft_limit_that_cuts_the_reference_is_held():
     lockstep = closed_loop("duration_s=4", *SOFT)
     record = lockstep.record.arrays()
     assert record["truth_reference"].max(axis=0)[0] > 1.5  # it does cut
-    assert np.all(record["truth_position"].max(axis=0) < [1.3 + 1e-3, 0.9 + 1e-3])
+    assert np.all(record["truth_position"].max(axis=0) < [1.3, 0.9])
     assert record["accepted"].mean() > 0.99
     # Where the reference is inside, and not about to leave, it is tracked as ever.
     reference = record["truth_reference"]
@@ -134,12 +134,11 @@ def test_a_soft_limit_that_cuts_the_reference_is_held():
     assert np.abs(record["truth_position"] - reference)[away].max() < 10e-3
 
 
-def test_a_soft_limit_from_below_gives_a_few_mrad():
-    """The unmodelled weight of the arm pulls down: 3.2 mrad were measured."""
+def test_a_soft_limit_from_below_is_held_against_unknown_weight():
     low = "mpc.soft_min_rad=[0.2, 0.1]"
     record = closed_loop("duration_s=4", "mpc.soft_max_rad=[2, 2]", low).record.arrays()
     assert np.all(record["truth_reference"].min(axis=0) < [0.0, 0.0])
-    assert np.all(record["truth_position"].min(axis=0) > [0.2 - 5e-3, 0.1 - 5e-3])
+    assert np.all(record["truth_position"].min(axis=0) > [0.2, 0.1])
 
 
 def test_a_start_outside_the_soft_limits_recovers_smoothly():
@@ -173,8 +172,22 @@ def test_a_stall_longer_than_the_plan_ends_in_hold_and_says_so():
 
 def test_one_percent_outliers_cost_little(shipped):
     outliers = closed_loop("duration_s=4", "sim.outlier_share=0.01")
-    assert outliers.loop.estimator.outliers > 50
+    assert outliers.loop.estimator.outliers > 25  # of 4000 samples
     assert np.all(rms(task_error(outliers)) <= 1.1 * rms(task_error(shipped)))
+
+
+def test_packets_out_of_turn_cost_next_to_nothing(shipped):
+    """One in ten comes two knots late, in both directions: a frame that was overtaken counts as
+    replayed, but the next one tells its samples and repeats its points. Only where two in a row
+    are overtaken, one in a hundred, samples are gone."""
+    late = [f"sim.{way}.{what}" for way in ("to_host", "to_device") for what in (
+        "reorder=0.1", "reorder_us=9000")]  # fmt: skip
+    reordered = closed_loop("duration_s=4", *late)
+    overtaken = sum(remote.frames_bad for remote in reordered.remotes)
+    assert overtaken > 100
+    assert np.all(rms(task_error(reordered)) <= 1.4 * rms(task_error(shipped)))
+    estimator, without = reordered.loop.estimator, shipped.loop.estimator
+    assert estimator.accepted >= 0.98 * without.accepted
 
 
 def test_torque_at_the_joint_stays_within_the_limits(shipped):
@@ -237,14 +250,12 @@ def test_setpoints_rest_within_margin_and_horizon(stops):
 
 
 def test_the_arm_is_slow_25_ms_after_its_setpoints_rest(stops):
-    assert max(np.abs(s[rest_index(s) + 25, 3:5]).max() for s in stops) < 0.1
-    # Under load the stretched arm swings once more before it stands.
-    assert max(np.abs(s[rest_index(s) + 25 :, 3:5]).max() for s in stops) < 0.13
+    assert max(np.abs(s[rest_index(s) + 25 :, 3:5]).max() for s in stops) < 0.1
 
 
 def test_the_arm_is_in_place_a_quarter_second_later_and_does_not_sag(stops):
     for stop in stops:
-        later = rest_index(stop) + 25 + 250
+        later = rest_index(stop) + 250
         assert np.abs(stop[later:, 1:3] - stop[-1, 1:3]).max() < 1e-3
 
 
@@ -266,7 +277,8 @@ def test_a_killed_host_in_a_whole_run():
     assert 1.19 < lockstep.task_s(last_us + lockstep.epoch_us) < 1.2
     record = lockstep.record.arrays()
     assert lockstep.device_states() == ["HOLD", "HOLD"]
-    rest = record["truth_s"] > 1.2 + 0.012288 + 0.180224 + 0.3
+    mpc, margin_us = lockstep.config.mpc, lockstep.config.loop.margin_us
+    rest = record["truth_s"] > 1.2 + (margin_us + mpc.horizon_us) * 1e-6 + 0.25
     assert np.ptp(record["truth_position"][rest], axis=0).max() < 1e-3
 
 
