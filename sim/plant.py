@@ -18,6 +18,9 @@ DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
+# Impedance of dry friction (MuJoCo, "Solver parameters"). With the default, 0.9 to 0.95, a loaded
+# joint that should stick creeps by a milliradian a second.
+STICKING = 0.9995, 0.9999
 COUNTS_PER_UNIT, GEAR, TORQUE_CONSTANT, RESISTANCE, SUPPLY, BRAKE = range(6)  # actuator user data
 
 
@@ -72,6 +75,7 @@ class Plant:
             joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
             if joint >= 0:
                 model.dof_frictionloss[model.jnt_dofadr[joint]] = coulomb
+        model.dof_solimp[:, :2] = STICKING
         if model.nuser_actuator > TORQUE_CONSTANT:
             model.actuator_user[:, TORQUE_CONSTANT] *= config.motor_constant_scale
         mujoco.mj_setConst(model, mujoco.MjData(model))

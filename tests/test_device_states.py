@@ -558,7 +558,7 @@ def test_state_is_the_array() -> None:
 
 
 def drop(statuses: list[_core.Status], lost: set[int]) -> list[tuple[int, int]]:
-    """The samples of all statuses but the lost ones, as a host has them that drops what it knows."""
+    """The samples of all statuses but the lost ones, each once, as the estimator has them."""
     kept = [status for i, status in enumerate(statuses) if i not in lost]
     return list(dict.fromkeys(sample for status in kept for sample in status.samples))
 
