@@ -75,7 +75,7 @@ def footprints(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> list[b
 
 def test_a_restored_state_resumes_bit_for_bit(moving: Lockstep) -> None:
     model, data = moving.plant.model, moving.plant.data
-    state, steps = saved(moving.plant), 200_000 // moving.plant.step_us
+    state, steps = saved(moving.plant), 250_000 // moving.plant.step_us
     first = footprints(model, data, steps)
     assert moving.device_states() == ["HOLD", "HOLD"]  # it went through all of a plan's end
     assert len(set(first)) == steps
