@@ -23,6 +23,7 @@ from headway.controller.prediction import Prediction
 
 Array = NDArray[np.float64]
 
+STEP_MAX_US = 5_000  # of the prediction: a stiff servo loop diverges in longer Runge-Kutta steps
 HISTORY_US = 250_000  # samples older than this are forgotten
 REJECTED_IN_A_ROW = 20  # then the filter is wrong, not the samples: its covariance is widened
 START_SIGMA = (2e-3, 0.05, 2.0)  # of q [rad], v [rad/s], d [Nm] at a reset
@@ -188,16 +189,18 @@ class Estimator:
 
     def _steps(self, start_us: int, times_us: list[int], tracks: Tracks) -> Iterator[None]:
         """Predicts from time to time, yielding at each."""
-        ends = np.array(times_us, dtype=np.int64)
+        stops, asked_for = _stops(start_us, times_us)
+        ends = np.array(stops, dtype=np.int64)
         starts = np.concatenate(([start_us], ends[:-1]))
         grid = np.stack((starts, (starts + ends) // 2, ends), axis=1)
         values = tracks.at(grid.ravel()).reshape(len(ends), 3, -1)
-        for dt_us, value in zip((ends - starts).tolist(), values, strict=True):
+        for dt_us, value, here in zip((ends - starts).tolist(), values, asked_for, strict=True):
             if dt_us > 0:
                 self._filter.dt_s, self._filter.tracks = dt_us * 1e-6, value
                 self._filter.Q = self._process_noise(dt_us * 1e-6)
                 self._filter.predict()
-            yield
+            if here:
+                yield
 
     def _propagate(self, start_us: int, times_us: list[int], tracks: Tracks) -> None:
         for _ in self._steps(start_us, times_us, tracks):
@@ -228,3 +231,16 @@ class Estimator:
         checkpoint.rejected = (*rejected[:axis], run, *rejected[axis + 1 :])
         checkpoint.z, checkpoint.covariance = f.x, f.P
         return checkpoint.rejected
+
+
+def _stops(start_us: int, times_us: list[int]) -> tuple[list[int], list[bool]]:
+    """The times, and between them as few more as keep steps short; which of them were asked for."""
+    stops: list[int] = []
+    asked_for: list[bool] = []
+    for time_us in times_us:
+        gap_us = time_us - start_us
+        count = max(1, -(-gap_us // STEP_MAX_US))
+        stops += [start_us + gap_us * i // count for i in range(1, count + 1)]
+        asked_for += [i == count for i in range(1, count + 1)]
+        start_us = time_us
+    return stops, asked_for
