@@ -24,7 +24,7 @@ from headway.controller.feedforward import Feedforward
 from headway.controller.mpc import Motion, Mpc, Solution
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.reference import Entry, Reference
-from headway.controller.tracks import Commitment, Encoder
+from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits
 from headway.devices.link import Link
@@ -37,9 +37,6 @@ SETTLE_TICKS = 1000  # of synchronization before the first plan
 START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
 ENTRY_S = 0.5  # from rest onto the task's reference
 IDLE, HOLD = core.STATES.index("IDLE"), core.STATES.index("HOLD")
-
-
-FIXED_KNOTS = 3  # from the commit knot on, in which committed points still shape the tracks
 
 
 class DeviceError(Exception):
@@ -191,7 +188,7 @@ class Loop:
         # The brakes let go at the start knot; until then the position is known and nothing moves.
         self.start_us = self._start_knot * self._knot_us
         self.estimator.reset(self.start_us, position)
-        self._reference = Entry(self._task, position, ENTRY_S)
+        self._reference = Entry(self._task, position, 0.0, ENTRY_S)
         still = np.zeros_like(position)
         rest = Motion(*(np.tile(a, (self._horizon + 1, 1)) for a in (position, still, torque)))
         self._last = (self._start_knot, rest)
@@ -230,14 +227,15 @@ class Loop:
         self._check_devices(tick)
         if any(remote.silent(tick.now_us) for remote in self._remotes):
             return Outbox()  # nobody gets a new plan: all coast to rest together
+        self._enter_anew(commit_knot)
         motion = self._plan(tick, commit_knot)
         outbox = self._repeat(knot)
         if motion is None:
             return outbox
         began = time.perf_counter()
-        points = self._encoder.encode(motion, self._remotes, commit_knot)
         n = self._prediction.n
-        rolled = self._encoder.roll_out(points, tick.commit.state(n), tick.commit.z[2 * n :])
+        start, disturbance = tick.commit.state(n), tick.commit.z[2 * n :]
+        points, rolled = self._encoder.plan(motion, self._remotes, commit_knot, start, disturbance)
         if self._passes(points, rolled, commit_knot):
             self._last = (commit_knot, rolled)
             tick.accepted, tick.motion = True, rolled
@@ -269,6 +267,15 @@ class Loop:
             ):
                 raise DeviceError(f"{axis.joint}: the device no longer answers")
 
+    def _enter_anew(self, commit_knot: int) -> None:
+        """When no new plan was found until the last one ended, the machine rests, perhaps far from
+        its reference: it is led there as at the start."""
+        assert self._last is not None
+        knot, motion = self._last
+        if commit_knot - knot >= self._horizon:
+            start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
+            self._reference = Entry(self._task, motion.position[-1], start_s, ENTRY_S)
+
     def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
         commit_us = commit_knot * self._knot_us - self.start_us
         assert tick.commit is not None
@@ -293,12 +300,9 @@ class Loop:
         return Motion(motion.position[index], motion.velocity[index], motion.torque[index])
 
     def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
-        """The same gate as on the device, and the roll-out within the motors' torque."""
-        if self._mpc is not None:
-            free = rolled.torque[FIXED_KNOTS:]
-            limit = self._prediction.law.limit
-            if not np.all(np.abs(free) <= limit):  # false for not-a-number
-                return False
+        """The same gate as on the device; and a roll-out that is a motion."""
+        if not all(np.isfinite(part).all() for part in (rolled.position, rolled.velocity)):
+            return False
         first = commit_knot - 1
         for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
             for sink in SINKS:

@@ -41,9 +41,11 @@ class Entry:
     """A reference entered from rest: the difference to where the machine stands, at rest, fades
     out as the quintic that matches position, velocity and acceleration at both ends."""
 
-    def __init__(self, reference: Reference, start_rad: Array, duration_s: float) -> None:
-        self._reference, self._duration_s = reference, duration_s
-        q, v, a = (value[0] for value in reference.at(np.zeros(1)))
+    def __init__(
+        self, reference: Reference, start_rad: Array, start_s: float, duration_s: float
+    ) -> None:
+        self._reference, self._start_s, self._duration_s = reference, start_s, duration_s
+        q, v, a = (value[0] for value in reference.at(np.array([start_s])))
         h = duration_s
         offset, slope, curve = start_rad - q, -v * h, -a * h**2 / 2
         # p(0..2) given, p(1) = p'(1) = p''(1) = 0
@@ -58,9 +60,10 @@ class Entry:
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         q, v, a = self._reference.at(time_s)
-        entering = time_s < self._duration_s
+        share = (time_s - self._start_s) / self._duration_s
+        entering = share < 1
         if entering.any():
-            s = np.clip(time_s[entering] / self._duration_s, 0, 1)
+            s = np.clip(share[entering], 0, 1)
             for target, coefficients in zip((q, v, a), self._fade, strict=True):
                 powers = np.vander(s, len(coefficients), increasing=True)
                 target[entering] += powers @ coefficients

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: of a step, half is gone after 5 knots
 TORQUE_CURVATURE_WEIGHT = 0.002
+FIXED_KNOTS = 3  # from the commit knot on, in which committed points still shape the tracks
+RELIEF, RELIEF_ROUNDS = 1.4, 8
 
 VALUE = np.array([1.0, 4.0, 1.0]) / 6  # of c[k-1], c[k], c[k+1] at knot k
 SLOPE = np.array([-0.5, 0.0, 0.5])  # per knot interval
@@ -98,10 +100,34 @@ class Encoder:
         committed: Array = np.stack(points, axis=1) / self._scale[sink]
         return committed
 
-    def encode(self, motion: Motion, remotes: list[Remote], knot: int) -> list[Points]:
+    def plan(
+        self, motion: Motion, remotes: list[Remote], knot: int, start: Array, disturbance: Array
+    ) -> tuple[list[Points], Motion]:
+        """Encodes a motion; returns the points and their roll-out.
+
+        Where the servos' feedback adds up to more torque than there is, the ceiling cuts it: there
+        the torque track gives way by as much, which leaves the motion as it is.
+        """
+        relief, limit = np.zeros_like(motion.torque), self._prediction.law.limit
+        for _ in range(RELIEF_ROUNDS):
+            points = self.encode(motion, remotes, knot, relief)
+            rolled = self.roll_out(points, start, disturbance)
+            torque = rolled.torque[FIXED_KNOTS:]
+            if np.all(np.abs(torque) <= limit):
+                break
+            # A little more than the excess, since the fit smoothes.
+            relief[FIXED_KNOTS:] += RELIEF * (
+                torque - np.clip(torque, -0.995 * limit, 0.995 * limit)
+            )
+        return points, rolled
+
+    def encode(
+        self, motion: Motion, remotes: list[Remote], knot: int, relief: Array | float = 0.0
+    ) -> list[Points]:
         """Control points from knot - 1 on, by axis, of a motion that begins at knot `knot`.
 
-        The first three points of each track are the committed ones.
+        The first three points of each track are the committed ones. `relief`: (K+1, n) Nm, taken
+        off the torque track at the knots.
         """
         law = self._prediction.law
         r = self._position(
@@ -114,7 +140,7 @@ class Encoder:
             - law.kp * (value - motion.position)
             - (law.kd + law.emf) * (rate - motion.velocity)
         )
-        f = np.clip(f, -law.limit, law.limit)
+        f = np.clip(f - relief, -law.limit, law.limit)
         f = self._torque(f, self.committed(remotes, core.TRACK_TORQUE, knot - 1, 3))
         f = np.clip(self._quantize(f, core.TRACK_TORQUE), -law.limit, law.limit)
         return [

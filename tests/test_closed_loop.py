@@ -114,6 +114,41 @@ def test_the_fast_reference_saturates_without_windup():
     assert error[calm].max() < 8e-3
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_reference_beyond_the_torque_is_survived_at_any_settings(seed):
+    """arm2 as shipped was not made for it: plans pass nevertheless, within the limits."""
+    lockstep = closed_loop("duration_s=4", "task.frequency_Hz=0.6", f"seed={seed}")
+    record = lockstep.record.arrays()
+    assert record["accepted"].mean() > 0.99
+    assert np.all(record["planned_torque"][record["accepted"] == 1] <= [12.0, 6.0])
+    assert np.all(rms(task_error(lockstep)) < [0.1, 0.03])
+
+
+@pytest.mark.parametrize("frequency_Hz", [0.45, 0.6])
+def test_a_machine_that_came_to_rest_is_led_back(frequency_Hz):
+    """No plan passes for 0.3 s in mid-motion: it rests, up to a radian off, and finds back."""
+    config = load_config(
+        CONFIGS / "arm2.yaml", ["duration_s=3", f"task.frequency_Hz={frequency_Hz}"]
+    )
+    lockstep = Lockstep(config, CONFIGS)
+    loop, passes = lockstep.loop, lockstep.loop._passes
+
+    def passes_but_for_a_while(points, rolled, commit_knot):
+        commit_s = lockstep.task_s(commit_knot * config.loop.knot_us)
+        return passes(points, rolled, commit_knot) and not 1.5 < commit_s < 1.8
+
+    loop._passes = passes_but_for_a_while
+    lockstep.run()
+    record = lockstep.record.arrays()
+    error = np.abs(record["truth_position"] - record["truth_reference"]).max(axis=1)
+    time_s = record["truth_s"]
+    assert error[(time_s > 1.5) & (time_s < 2)].max() > 0.3
+    assert error[(time_s > 2.6) & (time_s < 2.75)].max() < 5e-3
+    assert lockstep.device_states() == ["HOLD", "HOLD"]
+    for node in lockstep.plant.nodes:
+        assert node.status.plans_refused == 0
+
+
 SOFT = ("mpc.soft_max_rad=[1.3, 0.9]", "mpc.soft_min_rad=[-0.3, -0.3]")
 
 

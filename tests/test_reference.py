@@ -21,7 +21,7 @@ def differences(values: np.ndarray, step_s: float) -> np.ndarray:
     return (values[2:] - values[:-2]) / (2 * step_s)
 
 
-@pytest.mark.parametrize("reference", [Sines(TASK), Entry(Sines(TASK), START, 0.5)])
+@pytest.mark.parametrize("reference", [Sines(TASK), Entry(Sines(TASK), START, 0.0, 0.5)])
 def test_derivatives_are_those_of_the_position(reference):
     step_s = 1e-4
     q, v, a = reference.at(np.arange(-0.0, 1.0, step_s))
@@ -37,7 +37,7 @@ def test_the_sine_is_the_formula():
 
 
 def test_the_entry_starts_at_rest_where_the_machine_stands():
-    q, v, a = Entry(Sines(TASK), START, 0.5).at(np.zeros(1))
+    q, v, a = Entry(Sines(TASK), START, 0.0, 0.5).at(np.zeros(1))
     assert q[0] == pytest.approx(START)
     assert v[0] == pytest.approx(0, abs=1e-12)
     assert a[0] == pytest.approx(0, abs=1e-12)
@@ -46,6 +46,6 @@ def test_the_entry_starts_at_rest_where_the_machine_stands():
 def test_after_the_entry_there_is_nothing_but_the_reference():
     time_s = np.linspace(0.5, 3, 20)
     for entered, plain in zip(
-        Entry(Sines(TASK), START, 0.5).at(time_s), Sines(TASK).at(time_s), strict=True
+        Entry(Sines(TASK), START, 0.0, 0.5).at(time_s), Sines(TASK).at(time_s), strict=True
     ):
         assert np.array_equal(entered, plain)

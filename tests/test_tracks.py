@@ -242,9 +242,9 @@ def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
     encode, roll_out = Encoder.encode, Encoder.roll_out
 
     def encode_seen(
-        self: Encoder, motion: Motion, remotes: list[Remote], knot: int
+        self: Encoder, motion: Motion, remotes: list[Remote], knot: int, relief: Array
     ) -> list[Points]:
-        points = encode(self, motion, remotes, knot)
+        points = encode(self, motion, remotes, knot, relief)
         seen.append(Encoding(knot, motion, [dict(p) for p in points]))
         for axis, remote in enumerate(remotes):
             for sink in points[axis]:
