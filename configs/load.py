@@ -2,126 +2,61 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError
-
+from headway.configs.mistakes.check import check
+from headway.configs.mistakes.mistake import ConfigError, Mistake, Place
+from headway.configs.mistakes.override import override
+from headway.configs.mistakes.source import near, read_text, read_yaml
+from headway.configs.mistakes.tree import Table, at, places_at
+from headway.configs.mistakes.words import clean
 from headway.configs.schema import Config
 
-SIZE_MAX = 200_000  # bytes; YAML is slow to read, and more than this is some other file
-GIVEN_MAX = 60  # characters of a wrong value that a message repeats
+__all__ = ["ConfigError", "load_config"]
 
-Location = tuple[int | str, ...]
-
-
-class ConfigError(Exception):
-    """A mistake in a config, told so that the user can mend it."""
+MODEL = ("machine", "model")
 
 
 def load_config(path: Path, overrides: list[str] | None = None) -> Config:
-    """Reads and checks a config file.
+    """Reads and checks a config file, and that the model which it names is there.
 
     `overrides` are `key.path=value` strings, the value in YAML. Raises ConfigError with all
-    mistakes at once, each with its key and, where the file has it, its line.
+    mistakes at once, each with its key and its line and column, or the override that it is in.
     """
-    tree = _parse(_read(path), str(path))
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: a config is a mapping of keys, like `name: arm2`")
-    changed = {_apply(tree, override): override for override in overrides or []}
-    try:
-        return Config.model_validate(tree)
-    except ValidationError as error:
-        raise ConfigError(_describe(path, tree, changed, error)) from error
+    source = Place(clean(str(path), 4096))
+    tree, mistakes = read_yaml(read_text(path), source)
+    if not isinstance(tree, Table):
+        raise ConfigError(*mistakes, Mistake(source, (), _no_section(tree)))
+    for order, text in enumerate(overrides or [], 1):
+        tree, more = override(tree, text, order)
+        mistakes += more
+    config, more = check(tree, source)
+    mistakes += more + _model_missing(tree, path)
+    if mistakes or config is None:
+        raise ConfigError(*mistakes)
+    return config
 
 
-def _read(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            content = file.read(SIZE_MAX + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(content) > SIZE_MAX:
-        raise ConfigError(f"{path}: is too large for a config (more than {SIZE_MAX} bytes)")
-    try:
-        return content.decode()
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+def _no_section(value: Any) -> str:
+    if value is None:
+        return "is empty: start from a copy of configs/arm2.yaml"
+    what = "a list" if isinstance(value, list) else "a single value"
+    return f"is {what}: a config is a section of keys, each with `: ` after it, like `name: arm2`"
 
 
-def _parse(text: str, source: str) -> Any:
-    try:
-        return YAML().load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark
-        place = f"{source}:{mark.line + 1}" if mark else source
-        raise ConfigError(f"{place}: is not YAML: {error.problem or error}") from error
-    except Exception as error:  # YAML has many ways to go wrong: `!!int x` is a ValueError
-        raise ConfigError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
-
-
-def _apply(tree: Any, override: str) -> Location:
-    """Changes one key of the tree; returns where the tree differs."""
-    key, equals, text = override.partition("=")
-    if not equals or not key:
-        raise ConfigError(f"--set {override}: write key.path=value, like --set loop.margin_us=8192")
-    value = _parse(text, f"--set {override}")
-    node, location, new = tree, list[int | str](), None
-    *parents, last = key.split(".")
-    try:
-        for name in parents:
-            location.append(_step(node, name))
-            if isinstance(node, dict) and name not in node:
-                node[name] = {}
-                new = new or len(location)
-            node = node[location[-1]]
-        location.append(_step(node, last))
-        node[location[-1]] = value
-    except (ValueError, LookupError, TypeError) as error:
-        raise ConfigError(f"--set {override}: there is no {key} in this config") from error
-    return tuple(location[:new])
-
-
-def _step(node: Any, name: str) -> int | str:
-    """A key of a mapping, or an index of a list."""
-    return int(name) if isinstance(node, list) else name
-
-
-def _line(node: Any, location: Location) -> int | None:
-    """Line of the deepest part of `location` that the file has."""
-    line = None
-    for step in location:
-        try:
-            place = node.lc
-            position = place.item(step) if hasattr(node, "append") else place.key(step)
-            line = int(position[0]) + 1
-            node = node[step]
-        except (AttributeError, KeyError, IndexError, TypeError):
-            break
-    return line
-
-
-def _describe(path: Path, tree: Any, changed: dict[Location, str], error: ValidationError) -> str:
-    """One line for each mistake: where, which key, what is wrong, what was given."""
-    lines = []
-    for problem in error.errors():
-        location = problem["loc"]
-        line = _line(tree, location)
-        place = f"{path}:{line}" if line else str(path)
-        for where, override in changed.items():
-            if location[: len(where)] == where:
-                place = f"--set {override}"
-        key = ".".join(str(step) for step in location) or "config"
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            message = "unknown key"
-        given = "" if isinstance(problem["input"], dict | list) else _given(problem["input"])
-        lines.append(f"{place}: {key}: {message}{given}")
-    return "\n".join(lines)
-
-
-def _given(value: object) -> str:
-    text = repr(value)
-    return f" (given: {text if len(text) <= GIVEN_MAX else text[:GIVEN_MAX] + '...'})"
+def _model_missing(tree: Table, path: Path) -> list[Mistake]:
+    """The mistake that the model is no file, if it is none."""
+    name, places = at(tree, MODEL), places_at(tree, MODEL)
+    if not isinstance(name, str) or not places:
+        return []
+    file = Path(os.path.abspath(path.parent / name))
+    if os.path.isfile(file):
+        return []
+    text = (
+        f"there is no file {clean(str(file), 4096)}; a relative path starts at the config's folder"
+    )
+    if found := near(file):
+        text += f"; did you mean {clean(os.path.join(os.path.dirname(name), found))}?"
+    return [Mistake(places[1], MODEL, text)]

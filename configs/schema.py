@@ -4,80 +4,39 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-SMALL, LARGE = 1e-9, 1e12  # what is beyond, in any unit, is a slip of the pen
-Positive = Annotated[float, Field(ge=SMALL, le=LARGE, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, le=LARGE, allow_inf_nan=False)]
-Finite = Annotated[float, Field(ge=-LARGE, le=LARGE, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Delay = Annotated[int, Field(ge=0, le=10_000_000)]  # us
-
-
-class Section(BaseModel):
-    """Unknown keys and wrong types are errors; nothing changes after loading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class Motor(Section):
-    """A geared brushed DC motor, as the device's settings have it."""
-
-    gear: Positive
-    torque_constant_Nm_per_A: Positive
-    resistance_ohm: Positive
-    supply_V: Positive
-
-
-class Servo(Section):
-    """The device's PID, at the joint."""
-
-    kp_Nm_per_rad: NotNegative
-    ki_Nm_per_rad_s: NotNegative = 0.0
-    kd_Nm_s_per_rad: NotNegative
-
-
-class Axis(Section):
-    """One joint with its motor, encoder and board."""
-
-    joint: str
-    counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
-    position_min_rad: Finite
-    position_max_rad: Finite
-    velocity_limit_rad_per_s: Positive
-    acceleration_limit_rad_per_s2: Positive
-    torque_limit_Nm: Positive
-    coulomb_Nm: NotNegative = 0.0  # friction that the controller knows of
-    motor: Motor
-    servo: Servo
-
-    @model_validator(mode="after")
-    def _range(self) -> Axis:
-        if self.position_min_rad >= self.position_max_rad:
-            raise ValueError("position_min_rad must be below position_max_rad")
-        return self
+from headway.configs.axis import Axis, Sine
+from headway.configs.section import ByAxis, Delay, Finite, NotNegative, Positive, Section, Share
 
 
 class Machine(Section):
     """The model file and the axes that move it; the order of axes is the order of devices."""
 
-    model: str  # MJCF or URDF, relative to the config file
+    model: str
+    """The MJCF or URDF file; a relative path starts at the config."""
     axes: Annotated[list[Axis], Field(min_length=1)]
+    """The joints with a motor, in the order of the devices."""
 
 
 class Device(Section):
     """What all boards of the machine share."""
 
     servo_period_us: Annotated[int, Field(ge=100, le=10000)] = 1000
-    sample_every: Annotated[int, Field(ge=1, le=100)] = 2  # servo periods
+    """How often each board runs its servo."""
+    sample_every: Annotated[int, Field(ge=1, le=100)] = 2
+    """Servo periods from one encoder sample to the next."""
     integrate_while_running: bool = False
+    """Whether the servo's integrator also works while a plan runs."""
 
 
 class Loop(Section):
     """The loop's rate and its distance ahead of now."""
 
     knot_us: Literal[512, 1024, 2048, 4096, 8192, 16384, 32768] = 4096
+    """The grid of time: a tick, and a control point of each track, every so often."""
     margin_us: Annotated[int, Field(ge=1024, le=200000)]
+    """The time after now in which nothing is changed: longer than wire and computation."""
 
     @property
     def knot_shift(self) -> int:
@@ -90,73 +49,91 @@ class Loop(Section):
         return -(-self.margin_us // self.knot_us)
 
 
-class Sine(Section):
-    """offset + amplitude sin(2 pi harmonic frequency t + phase)."""
-
-    offset_rad: Finite = 0.0
-    amplitude_rad: Finite
-    harmonic: Positive = 1.0
-    phase_rad: Finite = 0.0
-
-
 class Task(Section):
     """What to do: follow a sine on each axis."""
 
     kind: Literal["sines"]
+    """The kind of task."""
     frequency_Hz: Positive
+    """Of the sine whose harmonic is 1."""
     axes: list[Sine]
+    """A sine for each axis."""
 
 
 class Mpc(Section):
     """The optimal control problem's horizon and weights."""
 
-    enabled: bool = True  # off: the reference itself is streamed
-    feedforward: Literal["none", "model"] = "model"  # with mpc off: the torque track
+    enabled: bool = True
+    """Off: the reference itself is streamed."""
+    feedforward: Literal["none", "model"] = "model"
+    """With MPC off: what the torque track is made of."""
     horizon_us: Annotated[int, Field(ge=20000, le=2000000)] = 212992
+    """How far a plan reaches: a multiple of intervals times knot_us."""
     intervals: Annotated[int, Field(ge=4, le=200)] = 26
-    position_weight: Positive = 1.0e6  # 1/rad^2
-    velocity_weight: NotNegative = 2.0e2  # s^2/rad^2
-    torque_step_weight: NotNegative = 0.5  # 1/Nm^2, on the change from node to node
-    torque_start_weight: NotNegative = 20.0  # 1/Nm^2, on the jump from the committed torque
-    # Shares of the horizon between which tracking gives way to stopping.
+    """Steps of the horizon."""
+    position_weight: ByAxis = 1.0e6
+    """On the squared error of the position, in 1/rad^2 or 1/m^2."""
+    velocity_weight: ByAxis = 2.0e2
+    """On the squared error of the velocity, in s^2/rad^2 or s^2/m^2."""
+    torque_step_weight: ByAxis = 0.5
+    """On the squared change of effort from node to node, in 1/Nm^2 or 1/N^2."""
+    torque_start_weight: ByAxis = 20.0
+    """On the squared jump from the committed effort, in 1/Nm^2 or 1/N^2."""
     fade_start: Share = 0.22
+    """Share of the horizon from which on tracking gives way to stopping."""
     fade_end: Share = 0.45
-    # Share of the torque limit that is planned from the horizon's middle on. Less makes the plan
-    # give way earlier to a reference that asks for more torque than there is.
+    """Share of the horizon from which on only stopping counts."""
     torque_share_end: Annotated[float, Field(gt=0, le=1)] = 0.85
-    soft_min_rad: list[Finite] | None = None
-    soft_max_rad: list[Finite] | None = None
-    soft_weight: Positive = 1.0e7
+    """Share of the effort limit that is planned from the horizon's middle on. Less makes the plan
+    give way earlier to a reference that asks for more than there is.
+    """
+    soft_weight: ByAxis = 1.0e7
+    """On what is beyond a soft limit, squared, in 1/rad^2 or 1/m^2."""
     max_iterations: Annotated[int, Field(ge=10, le=100000)] = 150
+    """Of the solver in one tick."""
 
 
 class Estimator(Section):
     """Noise of the Kalman filter, as standard deviations."""
 
-    disturbance: bool = True  # off: no disturbance torque is estimated
-    acceleration_noise_rad_per_s15: NotNegative = 0.3  # rad/s^2 per sqrt(Hz)
-    disturbance_noise_Nm_per_s05: NotNegative = 4.5  # random walk
-    measurement_noise_counts: Positive = 0.289  # rounding to whole counts: 1 / sqrt(12)
-    gate_sigma: Positive = 6.0  # samples further out are outliers
+    disturbance: bool = True
+    """Off: no disturbance effort is estimated."""
+    acceleration_noise_rad_or_m_per_s15: ByAxis = 0.3
+    """Unmodelled acceleration, in rad/s^2 or m/s^2 per sqrt(Hz)."""
+    disturbance_noise_Nm_or_N_per_s05: ByAxis = 4.5
+    """How fast the disturbance wanders."""
+    measurement_noise_counts: Positive = 0.289
+    """Of an encoder sample. Rounding to whole counts gives 1 / sqrt(12)."""
+    gate_sigma: Positive = 6.0
+    """Samples further from what is expected are outliers and do not count."""
 
 
 class Plant(Section):
     """How the simulated machine differs from the model: what the controller does not know."""
 
-    mass_scale: dict[str, Positive] = {}  # body: factor on its mass and inertia
-    coulomb_Nm: list[NotNegative] | None = None
+    mass_scale: dict[str, Positive] = Field(default={})
+    """For a body by its name: the factor on its mass and inertia."""
+    coulomb_Nm_or_N: list[NotNegative] | None = None
+    """Dry friction of each axis, instead of the model's."""
     viscous_scale: Positive = 1.0
+    """The factor on the joints' damping."""
     motor_constant_scale: Positive = 1.0
+    """The factor on the motors' torque constants."""
 
 
 class Channel(Section):
     """One direction of the simulated network."""
 
     delay_us: Delay = 3000
+    """A packet's mean time under way."""
     jitter_us: Delay = 1000
+    """How far that time varies to either side."""
     loss: Share = 0.01
+    """Share of packets that get lost."""
     reorder: Share = 0.0
+    """Share of packets that are held up, so that others overtake them."""
     reorder_us: Delay = 4000
+    """How long they are held up."""
 
     @model_validator(mode="after")
     def _order(self) -> Channel:
@@ -168,53 +145,83 @@ class Channel(Section):
 class Clocks(Section):
     """Oscillators of the simulated boards."""
 
-    drift_ppm: Annotated[float, Field(ge=0, le=150)] = 30.0  # each device's drawn within +-
+    drift_ppm: Annotated[float, Field(ge=0, le=150)] = 30.0
+    """Each board's oscillator drifts by up to this much, in either direction."""
 
 
 class Sim(Section):
     """The simulated world around the controller."""
 
     plant: Plant = Plant()
+    """How the machine differs from its model."""
     to_device: Channel = Channel()
+    """The wires from the host to the boards."""
     to_host: Channel = Channel()
+    """The wires from the boards to the host."""
     clocks: Clocks = Clocks()
+    """The boards' oscillators."""
     # The p99.9 of a tick of arm2 on two shared cores, as measured (docs/performance.md).
     compute_us: Delay = 3500
-    start_rad: list[Finite] | None = None  # default: where the task starts
-    outlier_share: Share = 0.0  # samples replaced by nonsense before the controller sees them
-    stall_host_at_s: NotNegative | None = None  # a tick overruns ...
-    stall_host_s: Positive = 0.03  # ... by this much
-    kill_host_at_s: NotNegative | None = None  # no message leaves the host afterwards
+    """Simulated time that a tick takes to compute."""
+    start_rad_or_m: list[Finite] | None = None
+    """Where each axis is at power-up. Default: where the task starts."""
+    outlier_share: Share = 0.0
+    """Share of samples replaced by nonsense before the controller sees them."""
+    stall_host_at_s: NotNegative | None = None
+    """When in the task a tick overruns, by stall_host_s."""
+    stall_host_s: Positive = 0.03
+    """How long that tick takes in addition."""
+    kill_host_at_s: NotNegative | None = None
+    """When in the task the host dies: no message leaves it afterwards."""
 
 
 class Config(Section):
     """A machine, its loop, its task and its simulated world."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,25}$")]
+    """Goes into the name of a run's folder."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of everything random: the same seed repeats the same run."""
     duration_s: Positive = 10.0
+    """Of the task."""
     machine: Machine
+    """The model and its axes."""
     device: Device = Device()
+    """What all boards share."""
     loop: Loop
+    """The rate, and the distance ahead of now."""
     task: Task
+    """What to do."""
     mpc: Mpc = Mpc()
+    """The planner's horizon and weights."""
     estimator: Estimator = Estimator()
+    """The Kalman filter's noise."""
     sim: Sim = Sim()
+    """The simulated world."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Config:
         n = len(self.machine.axes)
-        lists = {
+        lists: dict[str, object] = {
             "task.axes": self.task.axes,
-            "mpc.soft_min_rad": self.mpc.soft_min_rad,
-            "mpc.soft_max_rad": self.mpc.soft_max_rad,
-            "sim.plant.coulomb_Nm": self.sim.plant.coulomb_Nm,
-            "sim.start_rad": self.sim.start_rad,
+            "mpc.position_weight": self.mpc.position_weight,
+            "mpc.velocity_weight": self.mpc.velocity_weight,
+            "mpc.soft_weight": self.mpc.soft_weight,
+            "mpc.torque_step_weight": self.mpc.torque_step_weight,
+            "mpc.torque_start_weight": self.mpc.torque_start_weight,
+            "estimator.acceleration_noise_rad_or_m_per_s15": (
+                self.estimator.acceleration_noise_rad_or_m_per_s15
+            ),
+            "estimator.disturbance_noise_Nm_or_N_per_s05": (
+                self.estimator.disturbance_noise_Nm_or_N_per_s05
+            ),
+            "sim.plant.coulomb_Nm_or_N": self.sim.plant.coulomb_Nm_or_N,
+            "sim.start_rad_or_m": self.sim.start_rad_or_m,
         }
         mistakes = [
             f"{key} has {len(value)} entries; the machine has {n} axes"
             for key, value in lists.items()
-            if value is not None and len(value) != n
+            if isinstance(value, list) and len(value) != n
         ]
         if self.mpc.fade_start >= self.mpc.fade_end:
             mistakes.append("mpc.fade_start must be below mpc.fade_end")
@@ -223,6 +230,27 @@ class Config(Section):
             mistakes.append(
                 f"mpc.horizon_us must be a multiple of mpc.intervals * loop.knot_us = {step_us}"
             )
+        if not mistakes:
+            mistakes = [m for axis in range(n) for m in self._of_axis(axis)]
         if mistakes:
             raise ValueError("; ".join(mistakes))
         return self
+
+    def _of_axis(self, index: int) -> list[str]:
+        """What does not fit together about one axis: its kind, and where it starts."""
+        axis, sine, start = self.machine.axes[index], self.task.axes[index], self.sim.start_rad_or_m
+        if sine.unit != axis.unit:
+            return [
+                f"task.axes.{index} is in {sine.unit}, but {axis.joint} moves in {axis.unit}: "
+                f"use offset_{axis.unit} and amplitude_{axis.unit}"
+            ]
+        key, position = f"task.axes.{index}", sine.start
+        if start is not None:
+            key, position = f"sim.start_rad_or_m.{index}", start[index]
+        if axis.position_min <= position <= axis.position_max:
+            return []
+        return [
+            f"{key}: {axis.joint} would start at {position:g} {axis.unit}, outside of its range, "
+            f"position_min_{axis.unit} {axis.position_min:g} to "
+            f"position_max_{axis.unit} {axis.position_max:g}"
+        ]

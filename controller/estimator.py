@@ -19,6 +19,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
 from headway.configs.schema import Estimator as EstimatorConfig
+from headway.configs.section import by_axis
 from headway.controller.prediction import Prediction
 
 Array = NDArray[np.float64]
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 STEP_MAX_US = 5_000  # of the prediction: a stiff servo loop diverges in longer Runge-Kutta steps
 HISTORY_US = 250_000  # samples older than this are forgotten
 REJECTED_IN_A_ROW = 20  # then the filter is wrong, not the samples: its covariance is widened
-START_SIGMA = (2e-3, 0.05, 2.0)  # of q [rad], v [rad/s], d [Nm] at a reset
+START_SIGMA = (2e-3, 0.05)  # of q and v at a reset [rad or m, and per second]
+START_WALK_S = 0.2  # of the disturbance's random walk: what is known of it at a reset
 
 
 class Tracks(Protocol):
@@ -42,7 +44,7 @@ class Sample:
 
     time_us: int
     axis: int
-    position_rad: float
+    position: float
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class _Checkpoint:
 
     time_us: int
     axis: int
-    position_rad: float
+    position: float
     z: Array
     covariance: Array
     nis: float  # normalized innovation squared
@@ -99,27 +101,25 @@ class Estimator:
     """Keeps the samples of the last quarter second and the filter after each of them."""
 
     def __init__(
-        self, prediction: Prediction, config: EstimatorConfig, rad_per_count: Array
+        self, prediction: Prediction, config: EstimatorConfig, unit_per_count: Array
     ) -> None:
         n = self._n = prediction.n
         self._filter = _Filter(prediction)
         self._gate = config.gate_sigma**2
-        self._noise = (config.measurement_noise_counts * rad_per_count) ** 2
-        self._acceleration = config.acceleration_noise_rad_per_s15**2
-        walk = config.disturbance_noise_Nm_per_s05 if config.disturbance else 0.0
-        self._walk = np.full(n, walk**2)
-        sigma = np.repeat(START_SIGMA, n) ** 2
-        if not config.disturbance:
-            sigma[2 * n :] = 0.0
-        self._start_covariance = np.diag(sigma)
+        self._noise = (config.measurement_noise_counts * unit_per_count) ** 2
+        self._acceleration = np.array(by_axis(config.acceleration_noise_rad_or_m_per_s15, n)) ** 2
+        walk = np.array(by_axis(config.disturbance_noise_Nm_or_N_per_s05, n))
+        self._walk = config.disturbance * walk**2
+        start = np.concatenate((np.repeat(START_SIGMA, n) ** 2, START_WALK_S * self._walk))
+        self._start_covariance = np.diag(start)
         self._observe = np.eye(3 * n)[:n]
         self._checkpoints: list[_Checkpoint] = []
         self._keys: list[tuple[int, int]] = []
         self.nis_sum, self.accepted, self.outliers, self.replayed = 0.0, 0, 0, 0
 
-    def reset(self, time_us: int, position_rad: Array) -> None:
+    def reset(self, time_us: int, position: Array) -> None:
         """Starts at rest at a known position; all history is forgotten."""
-        z = np.concatenate((position_rad, np.zeros(2 * self._n)))
+        z = np.concatenate((position, np.zeros(2 * self._n)))
         start = _Checkpoint(time_us, -1, 0.0, z, self._start_covariance, 0.0, (0,) * self._n)
         self._checkpoints, self._keys = [start], [(time_us, -1)]
 
@@ -152,7 +152,7 @@ class Estimator:
         """A checkpoint whose state the replay will fill in."""
         empty = np.empty(0)
         return _Checkpoint(
-            sample.time_us, sample.axis, sample.position_rad, empty, empty, 0.0, (0,) * self._n
+            sample.time_us, sample.axis, sample.position, empty, empty, 0.0, (0,) * self._n
         )
 
     def _load(self, z: Array, covariance: Array) -> None:
@@ -210,21 +210,21 @@ class Estimator:
         n = self._n
         noise = np.zeros((3 * n, 3 * n))
         for i in range(n):
-            noise[i, i] = self._acceleration * dt**3 / 3
-            noise[i, n + i] = noise[n + i, i] = self._acceleration * dt**2 / 2
-            noise[n + i, n + i] = self._acceleration * dt
+            noise[i, i] = self._acceleration[i] * dt**3 / 3
+            noise[i, n + i] = noise[n + i, i] = self._acceleration[i] * dt**2 / 2
+            noise[n + i, n + i] = self._acceleration[i] * dt
             noise[2 * n + i, 2 * n + i] = self._walk[i] * dt
         return noise
 
     def _correct(self, checkpoint: _Checkpoint, rejected: tuple[int, ...]) -> tuple[int, ...]:
         """Takes one sample in, unless it is an outlier; returns the outliers in a row by axis."""
         f, axis = self._filter, checkpoint.axis
-        innovation = checkpoint.position_rad - f.x[axis]
+        innovation = checkpoint.position - f.x[axis]
         checkpoint.nis = float(innovation**2 / (f.P[axis, axis] + self._noise[axis]))
         run = rejected[axis] + 1 if checkpoint.nis > self._gate else 0
         if run == 0:
             row = self._observe[axis : axis + 1]
-            z = np.array([checkpoint.position_rad])
+            z = np.array([checkpoint.position])
             f.update(z, lambda _: row, lambda x: x[axis : axis + 1], R=self._noise[axis])
         elif run % REJECTED_IN_A_ROW == 0:
             f.P = f.P + self._start_covariance

@@ -11,9 +11,7 @@ plan begins at the commit knot k + m, whose state is predicted along what is alr
 
 from __future__ import annotations
 
-import enum
 import time
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +19,12 @@ from numpy.typing import NDArray
 from headway.configs.schema import Config
 from headway.controller.estimator import Estimate, Estimator, Sample
 from headway.controller.feedforward import Feedforward
-from headway.controller.mpc import Motion, Mpc, Solution
+from headway.controller.mpc import Motion, Mpc
 from headway.controller.prediction import Prediction, ServoLaw
-from headway.controller.reference import Entry, Reference
+from headway.controller.record.recorder import Recorder
+from headway.controller.reference import ENTRY_S, Entry, Reference
+from headway.controller.start import Start
+from headway.controller.tick import DeviceError, Outbox, Phase, Tick
 from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits
@@ -33,58 +34,24 @@ from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
 
-SETTLE_TICKS = 1000  # of synchronization before the first plan
-START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
-ENTRY_S = 0.5  # from rest onto the task's reference
-IDLE, HOLD = core.STATES.index("IDLE"), core.STATES.index("HOLD")
+HOLD = core.STATES.index("HOLD")
 
 
-class DeviceError(Exception):
-    """A device does not answer or does not do what it should."""
-
-
-class Phase(enum.IntEnum):
-    """Where the loop is."""
-
-    SYNC = 0  # stamps only, until every clock has settled
-    START = 1  # a plan that holds still is under way
-    RUN = 2
-
-
-@dataclass
-class Outbox:
-    """What a tick decided to send: stamps alone, or a plan until it is too late for it."""
-
-    first_knot: int = 0
-    points: list[Points] | None = None
-    too_late_us: int = 2**62  # from then on its first new point is live
-
-
-@dataclass
-class Tick:
-    """A tick's results, for the record. Times by the wall clock are only measured, never used."""
-
-    now_us: int
-    phase: Phase
-    samples: int = 0
-    now: Estimate | None = None
-    commit: Estimate | None = None
-    solution: Solution | None = None
-    accepted: bool = False
-    motion: Motion | None = None  # the encoded plan's roll-out
-    encoding_error: Array | None = None  # largest |encoded - planned torque|, 3 free knots on
-    planned_torque: Array | None = None  # largest |torque| rolled out, past the committed points
-    states: list[int] = field(default_factory=list)
-    estimate_us: float = 0.0
-    encode_us: float = 0.0
-    total_us: float = 0.0
+def plan_points(config: Config) -> int:
+    """Points of the longest plan that a tick may send, see Loop._join."""
+    return config.mpc.horizon_us // config.loop.knot_us + max(config.loop.margin_knots - 1, 3)
 
 
 class Loop:
     """The controller of one machine. `read`, `tick` and `write` are the three steps of a tick."""
 
     def __init__(
-        self, config: Config, machine: Machine, remotes: list[Remote], reference: Reference
+        self,
+        config: Config,
+        machine: Machine,
+        remotes: list[Remote],
+        reference: Reference,
+        recorder: Recorder,
     ) -> None:
         axes = config.machine.axes
         if tuple(a.joint for a in axes) != machine.joints:
@@ -93,6 +60,7 @@ class Loop:
                 f"the model has {', '.join(machine.joints)}: list all of them, in that order"
             )
         self._config, self._remotes, self._task = config, remotes, reference
+        self._recorder = recorder
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
         self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
@@ -105,15 +73,15 @@ class Loop:
         ]
         law = ServoLaw.of(axes)
         self._horizon = config.mpc.horizon_us // self._knot_us
-        points = self._horizon + max(self._margin - 1, 3)  # of the longest plan, see _join
+        points = plan_points(config)
         if points > core.PLAN_POINTS_MAX:
             raise ValueError(
                 f"mpc.horizon_us and loop.margin_us make plans of {points} points; a frame holds "
                 f"{core.PLAN_POINTS_MAX}: choose a longer knot or a shorter horizon"
             )
         self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
-        rad_per_count = np.array([u.rad_per_count for u in self._units])
-        self.estimator = Estimator(self._prediction, config.estimator, rad_per_count)
+        unit_per_count = np.array([u.unit_per_count for u in self._units])
+        self.estimator = Estimator(self._prediction, config.estimator, unit_per_count)
         self._commitment = Commitment(remotes, self._units, config.loop)
         self._encoder = Encoder(self._prediction, self._units, config.loop)
         self._mpc = Mpc(config, self._prediction) if config.mpc.enabled else None
@@ -123,19 +91,22 @@ class Loop:
         self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
         self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
         self.samples: list[Sample] = []  # received, not yet estimated from
-        self._ticks = 0
+        self._start = Start(config, remotes, self._units, self._prediction)
         self.phase = Phase.SYNC
         self.start_us = 0  # task time zero
 
     def read(self, link: Link, now_us: int) -> None:
         """Takes in all that has arrived."""
-        for device, received_us, packet in link.receive(now_us):
+        packets, good = link.receive(now_us), []
+        for device, received_us, packet in packets:
             status = self._remotes[device].receive(packet, received_us)
+            good.append(status is not None)
             if status is None:
                 continue
-            scale = self._units[device].rad_per_count
+            scale = self._units[device].unit_per_count
             for time_us, count in status.samples:
                 self.samples.append(Sample(time_us, device, count * scale))
+        self._recorder.add(("received", now_us, (packets, good)))
 
     def tick(self, now_us: int) -> tuple[Tick, Outbox]:
         """Decides what to send. `now_us` lies on a knot."""
@@ -143,13 +114,8 @@ class Loop:
         knot = now_us // self._knot_us
         tick = Tick(now_us, self.phase, len(self.samples))
         tick.states = [r.status.state if r.status else 0 for r in self._remotes]
-        self._ticks += 1
-        if self.phase is Phase.SYNC:
-            outbox = self._synchronize(knot)
-        elif self.phase is Phase.START:
-            outbox = self._await_start(knot)
-        else:
-            outbox = self._run(tick, knot)
+        running = self.phase is Phase.RUN
+        outbox = self._run(tick, knot) if running else self._start_up(knot)
         tick.total_us = (time.perf_counter() - began) * 1e6
         return tick, outbox
 
@@ -157,67 +123,32 @@ class Loop:
         """Seals and sends what a tick decided. Returns False for a plan that took too long: then
         only stamps are sent."""
         in_time = sent_us < outbox.too_late_us
+        points = outbox.points if in_time else None
+        packets = []
         for device, remote in enumerate(self._remotes):
-            if outbox.points is not None and in_time:
-                packet = remote.plan_packet(outbox.first_knot, outbox.points[device], sent_us)
+            if points is not None:
+                packet = remote.plan_packet(outbox.first_knot, points[device], sent_us)
             else:
                 packet = remote.sync_packet(sent_us)
             link.send(device, packet, sent_us)
+            packets.append(packet)
+        self._recorder.add(("sent", sent_us, (points is not None, packets)))
         return in_time
 
-    def _synchronize(self, knot: int) -> Outbox:
-        """Waits until every clock has settled, then plans to stand still where the machine is."""
-        settled = all(r.status and r.status.state == IDLE for r in self._remotes)
-        if self._ticks < SETTLE_TICKS or not settled:
-            self.samples = self.samples[-100 * len(self._remotes) :]
-            if self._ticks > 4 * SETTLE_TICKS:
-                raise DeviceError(f"{self._unsynced()}: not synced within {4 * SETTLE_TICKS} ticks")
-            return Outbox()
-        position = self._standing_at()
-        torque = self._prediction.holding(position, np.zeros_like(position))
-        count = 6
-        self._start_plan = [
-            {
-                core.TRACK_POSITION: units.position_points(np.full(count, position[axis])),
-                core.TRACK_TORQUE: units.torque_points(np.full(count, torque[axis])),
-            }
-            for axis, units in enumerate(self._units)
-        ]
-        self._start_knot = knot + self._margin + START_KNOTS
-        self.samples.clear()
-        # The brakes let go at the start knot; until then the position is known and nothing moves.
-        self.start_us = self._start_knot * self._knot_us
-        self.estimator.reset(self.start_us, position)
-        self._reference = Entry(self._task, position, 0.0, ENTRY_S)
-        still = np.zeros_like(position)
-        rest = Motion(*(np.tile(a, (self._horizon + 1, 1)) for a in (position, still, torque)))
-        self._last = (self._start_knot, rest)
-        self.phase = Phase.START
-        return Outbox(self._start_knot, self._start_plan)
-
-    def _unsynced(self) -> str:
-        pairs = zip(self._config.machine.axes, self._remotes, strict=True)
-        return ", ".join(a.joint for a, r in pairs if not (r.status and r.status.synced))
-
-    def _standing_at(self) -> Array:
-        """Median of the last samples of each axis: an outlier does not move it."""
-        medians = []
-        for axis in range(len(self._remotes)):
-            values = [s.position_rad for s in self.samples if s.axis == axis]
-            if not values:
-                raise DeviceError(f"{self._config.machine.axes[axis].joint}: no samples arrive")
-            medians.append(np.median(values[-50:]))
-        return np.array(medians)
-
-    def _await_start(self, knot: int) -> Outbox:
-        self.samples.clear()
-        if knot + self._margin + 1 < self._start_knot + 2:
-            return Outbox(self._start_knot, self._start_plan)
-        for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
-            if remote.status is None or remote.status.plan_accepted == 0:
-                raise DeviceError(f"{axis.joint}: the device did not accept the first plan")
-        self.phase = Phase.RUN
-        return Outbox(self._start_knot, self._start_plan)
+    def _start_up(self, knot: int) -> Outbox:
+        """Until every device executes its first plan."""
+        outbox = self._start.tick(knot, self.samples)
+        if self.phase is Phase.SYNC and self._start.phase is Phase.START:
+            start = self._start
+            # The brakes let go at the start knot: till then the position is known, nothing moves.
+            self.start_us = start.knot * self._knot_us
+            self.estimator.reset(self.start_us, start.position)
+            self._reference = Entry(self._task, start.position, 0.0, ENTRY_S)
+            rows = start.position, np.zeros_like(start.position), start.torque
+            rest = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rows))
+            self._last = (start.knot, rest)
+        self.phase = self._start.phase
+        return outbox
 
     def _run(self, tick: Tick, knot: int) -> Outbox:
         commit_knot = knot + self._margin

@@ -35,6 +35,7 @@ class Solution:
     """What the solver did; `motion` is None where its answer is not to be used."""
 
     motion: Motion | None
+    status: int  # OSQP's own
     iterations: int
     residual: float
     linearize_us: float  # wall clock, for the record only
@@ -90,7 +91,7 @@ class Mpc:
         target = np.hstack((clipped, still))
         ocp.update(x, u, linearized, start.state(n), target, committed_torque, holding)
         assembled = time.perf_counter()
-        z, iterations = self._run_solver()
+        z, status, iterations = self._run_solver()
         solved = time.perf_counter()
         residual, motion = np.inf, None
         if z is not None:
@@ -98,7 +99,7 @@ class Mpc:
             if residual <= 1.0:
                 motion = self._motion(x, u, z)
         split = (assembled - began) * 1e6, (solved - assembled) * 1e6
-        return Solution(motion, iterations, residual, *split)
+        return Solution(motion, status, iterations, residual, *split)
 
     def _linearize(self, x: Array, u: Array, disturbance: Array) -> list[Array]:
         call = self._prediction.linearize
@@ -109,8 +110,9 @@ class Mpc:
         call.inputs[4][0, 0] = self._ocp.interval_s
         return call.run()
 
-    def _run_solver(self) -> tuple[Array | None, int]:
-        """The QP's answer, or None where the flag or the numbers are bad (design, invariant 8)."""
+    def _run_solver(self) -> tuple[Array | None, int, int]:
+        """The QP's answer, or None where the flag or the numbers are bad (design, invariant 8);
+        OSQP's status and its iterations."""
         ocp = self._ocp
         self._solver.update(q=ocp.gradient, l=ocp.lower, u=ocp.upper, Ax=ocp.constraints.data)
         self._solver.warm_start(x=self._idle)
@@ -124,7 +126,7 @@ class Mpc:
         )
         z = result.x
         usable = good and bool(np.all(np.isfinite(z))) and float(np.max(np.abs(z))) < SANE_MAX
-        return (z if usable else None), int(result.info.iter)
+        return (z if usable else None), int(result.info.status_val), int(result.info.iter)
 
     def _motion(self, x: Array, u: Array, z: Array) -> Motion:
         n, ocp = self._ocp.n, self._ocp

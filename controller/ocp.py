@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
+from headway.configs.section import by_axis
 
 Array = NDArray[np.float64]
 
@@ -33,10 +34,12 @@ HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points
 # barrier functions: theory and applications", 2019).
 APPROACH_S = 0.1
 RETURN_S = 0.4  # time constant of the way back into the soft limits
-ROOM = 4e-3  # that a plan keeps to a position limit: what the model does not know goes there [rad]
+# What a plan keeps to a position limit: what the model does not know goes there.
+ROOM = {"rad": 4e-3, "m": 4e-4}
 UNBOUNDED = 1e20
-# A plan whose constraints hold within these is believed: rad, rad/s, Nm.
-POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE = 3e-4, 1e-2, 5e-2
+# A plan whose constraints hold within these is believed: rad or m, and per second; torques within a
+# share of their limit.
+POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE_SHARE = 3e-4, 1e-2, 5e-3
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
 
 
@@ -54,19 +57,20 @@ class Limits:
     def of(cls, config: Config) -> Limits:
         """The plan's limits: shares of the device's, and the soft position limits."""
         axes, mpc = config.machine.axes, config.mpc
-        low = mpc.soft_min_rad or [a.position_min_rad for a in axes]
-        high = mpc.soft_max_rad or [a.position_max_rad for a in axes]
+        low = [a.position_min if a.soft_min is None else a.soft_min for a in axes]
+        high = [a.position_max if a.soft_max is None else a.soft_max for a in axes]
+        room = np.array([ROOM[a.unit] for a in axes])
         # Nearly all of the torque at the plan's start, less from its middle on: what is kept back
         # lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
         # Zappa, Automatica 37, 2001).
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
         shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
         return cls(
-            np.outer(shares, [a.torque_limit_Nm for a in axes]),
-            HULL_SHARE * np.array([a.velocity_limit_rad_per_s for a in axes]),
-            HULL_SHARE * np.array([a.acceleration_limit_rad_per_s2 for a in axes]),
-            np.array(low) + ROOM,
-            np.array(high) - ROOM,
+            np.outer(shares, [a.effort_limit for a in axes]),
+            HULL_SHARE * np.array([a.velocity_limit for a in axes]),
+            HULL_SHARE * np.array([a.acceleration_limit for a in axes]),
+            np.array(low) + room,
+            np.array(high) - room,
         )
 
 
@@ -86,12 +90,15 @@ class Ocp:
         share = np.linspace(0, 1, count + 1)
         fade = (mpc.fade_end - share) / (mpc.fade_end - mpc.fade_start)
         self._weight = np.clip(fade, 0, 1) ** 2
-        self._state_weight = np.repeat([mpc.position_weight, mpc.velocity_weight], n)
-        self._start_weight = mpc.torque_start_weight
-        self._soft_weight = mpc.soft_weight
-        self.hessian = self._build_hessian(mpc.torque_step_weight, mpc.soft_weight)
-        self._build_constraints()
-        self._scale(np.array([a.torque_limit_Nm for a in config.machine.axes]))
+        weights = by_axis(mpc.position_weight, n), by_axis(mpc.velocity_weight, n)
+        self._state_weight = np.concatenate(weights)
+        self._start_weight = np.array(by_axis(mpc.torque_start_weight, n))
+        self._soft_weight = np.maximum(by_axis(mpc.soft_weight, n), 1.0)
+        step_weight = np.array(by_axis(mpc.torque_step_weight, n))
+        self.hessian = self._build_hessian(step_weight)
+        torque = np.array([a.effort_limit for a in config.machine.axes])
+        self._build_constraints(torque)
+        self._scale(torque)
 
     def _scale(self, torque: Array) -> None:
         """Variables in units of one over the root of their weight (torques: their limit), rows of
@@ -99,14 +106,14 @@ class Ocp:
         scaling of its own, where it stops at 200 with it."""
         n, nodes = self.n, self.intervals + 1
         state = 1 / np.sqrt(np.maximum(self._state_weight, 1.0))
-        slack = np.full(n, 1 / np.sqrt(self._soft_weight))
+        slack = 1 / np.sqrt(self._soft_weight)
         self.column_scale = np.concatenate((np.tile(state, nodes), np.tile(torque, nodes), slack))
         self._row_scale = np.ones(self.rows)
         self._row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
-        self._row_scale[2 * n * nodes : self.equalities] = 1 / state[-1]
+        self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:], 2)
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
-        self._row_scale[self._soft_row :] = 1 / np.sqrt(state[0])
+        self._row_scale[self._soft_row :] = np.tile(1 / np.sqrt(state[:n]), 2 * self.intervals)
         columns = sp.diags_array(self.column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
@@ -114,21 +121,23 @@ class Ocp:
         self.constraints.data *= entry_scale
         self._dynamics_scale = entry_scale[self._dynamics_place]
 
-    def _build_hessian(self, step_weight: float, soft_weight: float) -> sp.csc_matrix:
+    def _build_hessian(self, step_weight: Array) -> sp.csc_matrix:
         states = np.outer(self._weight, self._state_weight).ravel() + 1e-3
         shape = (self.intervals, self.intervals + 1)
         difference = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=shape)
-        steps = sp.diags_array(step_weight * (1 + STOP_SMOOTHNESS * (1 - self._weight[1:])))
+        smooth = sp.diags_array(1 + STOP_SMOOTHNESS * (1 - self._weight[1:]))
         ends = np.zeros(self.intervals + 1)
-        ends[[0, -2, -1]] = self._start_weight
-        node = difference.T @ steps @ difference + sp.diags_array(ends + 1e-6)
-        torques = sp.kron(node, sp.eye_array(self.n))
+        ends[[0, -2, -1]] = 1.0
+        steps = difference.T @ smooth @ difference + 2e-6 * sp.eye_array(self.intervals + 1)
+        torques = sp.kron(steps, sp.diags_array(step_weight)) + sp.kron(
+            sp.diags_array(ends), sp.diags_array(self._start_weight)
+        )
         self._torque_hessian = sp.csr_matrix(2 * torques)
-        slacks = sp.diags_array(np.full(self.n, soft_weight))
+        slacks = sp.diags_array(self._soft_weight)
         blocks = sp.block_diag([sp.diags_array(states), torques, slacks])
         return sp.csc_matrix(sp.triu(2 * blocks))
 
-    def _build_constraints(self) -> None:
+    def _build_constraints(self, torque_limit: Array) -> None:
         """One COO entry list; entries of the dynamics are remembered to be overwritten."""
         n, count = self.n, self.intervals
         rows: list[NDArray[np.int64]] = []
@@ -180,7 +189,9 @@ class Ocp:
         self._tolerance = np.full(row, VELOCITY_TOLERANCE)
         states = np.arange(2 * n * (count + 1))
         self._tolerance[states[states % (2 * n) < n]] = POSITION_TOLERANCE
-        self._tolerance[self._torque_row : self._velocity_row] = TORQUE_TOLERANCE
+        self._tolerance[self._torque_row : self._velocity_row] = np.tile(
+            TORQUE_TOLERANCE_SHARE * torque_limit, count + 1
+        )
         entries = np.concatenate(values)
         order = sp.csc_matrix(  # of the entries' numbers
             (np.arange(1, len(entries) + 1), (np.concatenate(rows), np.concatenate(columns))),
@@ -243,7 +254,7 @@ class Ocp:
         self.gradient[self.states] = 2 * error.ravel()
         pull = self._torque_hessian @ u.ravel()
         pull[:n] -= 2 * self._start_weight * committed
-        pull[-2 * n :] -= 2 * self._start_weight * np.tile(holding, 2)
+        pull[-2 * n :] -= 2 * np.tile(self._start_weight * holding, 2)
         self.gradient[self.torques] = pull
         self.gradient *= self.column_scale
         low[: self._soft_row] *= self._row_scale[: self._soft_row]

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.configs.schema import Axis
+from headway.configs.axis import Axis
 from headway.controller.equations import LAW_ROWS, Equations, runge_kutta
 from headway.models.codegen import Call, compile_functions
 from headway.models.machine import Machine
@@ -21,22 +21,21 @@ Array = NDArray[np.float64]
 class ServoLaw:
     """The servos' gains and limits in SI, by axis."""
 
-    kp: Array  # [Nm/rad]
-    kd: Array  # [Nm s/rad]
-    emf: Array  # c [Nm s/rad]
-    limit: Array  # [Nm]
-    coulomb: Array  # [Nm], as far as it is known
+    kp: Array  # [Nm/rad or N/m]
+    kd: Array  # [Nm s/rad or N s/m]
+    emf: Array  # c [Nm s/rad or N s/m]
+    limit: Array  # [Nm or N]
+    coulomb: Array  # [Nm or N], as far as it is known
 
     @classmethod
     def of(cls, axes: list[Axis]) -> ServoLaw:
         """From the config's axes."""
-        constant = [a.motor.gear * a.motor.torque_constant_Nm_per_A for a in axes]
         return cls(
-            np.array([a.servo.kp_Nm_per_rad for a in axes]),
-            np.array([a.servo.kd_Nm_s_per_rad for a in axes]),
-            np.array([k**2 / a.motor.resistance_ohm for k, a in zip(constant, axes, strict=True)]),
-            np.array([a.torque_limit_Nm for a in axes]),
-            np.array([a.coulomb_Nm for a in axes]),
+            np.array([a.servo.kp for a in axes]),
+            np.array([a.servo.kd for a in axes]),
+            np.array([a.motor.damping for a in axes]),
+            np.array([a.effort_limit for a in axes]),
+            np.array([a.coulomb for a in axes]),
         )
 
     @property

@@ -11,20 +11,22 @@ from headway.configs.schema import Task
 
 Array = NDArray[np.float64]
 
+ENTRY_S = 0.5  # from rest onto the task's reference
+
 
 class Reference(Protocol):
     """A motion to follow."""
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        """Position [rad], velocity, acceleration at times (m,) of the task: each (m, axes)."""
+        """Position [rad or m], velocity, acceleration at times (m,) of the task: each (m, axes)."""
 
 
 class Sines:
     """offset + amplitude sin(2 pi harmonic f t + phase) on each axis."""
 
     def __init__(self, task: Task) -> None:
-        self._offset = np.array([a.offset_rad for a in task.axes])
-        self._amplitude = np.array([a.amplitude_rad for a in task.axes])
+        self._offset = np.array([a.offset for a in task.axes])
+        self._amplitude = np.array([a.amplitude for a in task.axes])
         self._phase = np.array([a.phase_rad for a in task.axes])
         harmonic = np.array([a.harmonic for a in task.axes])
         self._rate = 2 * np.pi * task.frequency_Hz * harmonic
@@ -42,12 +44,12 @@ class Entry:
     out as the quintic that matches position, velocity and acceleration at both ends."""
 
     def __init__(
-        self, reference: Reference, start_rad: Array, start_s: float, duration_s: float
+        self, reference: Reference, start: Array, start_s: float, duration_s: float
     ) -> None:
         self._reference, self._start_s, self._duration_s = reference, start_s, duration_s
         q, v, a = (value[0] for value in reference.at(np.array([start_s])))
         h = duration_s
-        offset, slope, curve = start_rad - q, -v * h, -a * h**2 / 2
+        offset, slope, curve = start - q, -v * h, -a * h**2 / 2
         # p(0..2) given, p(1) = p'(1) = p''(1) = 0
         cubic = -10 * offset - 6 * slope - 3 * curve
         quartic = 15 * offset + 8 * slope + 3 * curve

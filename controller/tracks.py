@@ -88,8 +88,8 @@ class Encoder:
         self._prediction, self._n = prediction, prediction.n
         self._units, self._h = units, loop.knot_us * 1e-6
         self._scale = {
-            core.TRACK_POSITION: np.array([u.pq_per_rad for u in units]),
-            core.TRACK_TORQUE: np.array([u.tq_per_Nm for u in units]),
+            core.TRACK_POSITION: np.array([u.pq_per_unit for u in units]),
+            core.TRACK_TORQUE: np.array([u.tq_per_effort for u in units]),
         }
         self._position = Fit(prediction.horizon_knots, POSITION_CURVATURE_WEIGHT)
         self._torque = Fit(prediction.horizon_knots, TORQUE_CURVATURE_WEIGHT)
@@ -193,9 +193,9 @@ class Commitment:
 
     def __init__(self, remotes: list[Remote], units: list[AxisUnits], loop: Loop) -> None:
         self._remotes, self._shift = remotes, loop.knot_shift
-        self._position = 1 / np.array([u.pq_per_rad for u in units])
+        self._position = 1 / np.array([u.pq_per_unit for u in units])
         self._speed = self._position / (loop.knot_us * 1e-6)
-        self._torque = 1 / np.array([u.tq_per_Nm for u in units])
+        self._torque = 1 / np.array([u.tq_per_effort for u in units])
 
     def at(self, times_us: NDArray[np.int64]) -> Array:
         """[r, r', f] at system times (m,): (m, 3n) in rad, rad/s, Nm."""

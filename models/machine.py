@@ -8,8 +8,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from headway.models.dynamics import Tree
+from headway.models.source import is_urdf, read_spec
+
+MEND = {
+    False: "give every body a name, and no pose to a body that is fixed to the world",
+    True: "give every link mass and an inertia that a body can have",
+}
 
 
 @dataclass(frozen=True)
@@ -24,47 +31,61 @@ class Machine:
 def load_machine(path: Path) -> Machine:
     """Reads an MJCF (.xml) or URDF (.urdf) file.
 
-    Raises ValueError with the file's name when pinocchio cannot read it, when a joint has more than
-    one degree of freedom or when pinocchio reads an MJCF otherwise than MuJoCo does.
+    Raises ValueError with the file's name when pinocchio or MuJoCo cannot read it, when a joint has
+    more than one degree of freedom, when the two read it differently or when it has forces that the
+    model here cannot have.
     """
-    urdf = path.suffix == ".urdf"
-    build = pin.buildModelFromUrdf if urdf else pin.buildModelFromMJCF
+    build = pin.buildModelFromUrdf if is_urdf(path) else pin.buildModelFromMJCF
     try:
         model = build(str(path))
-        plant = None if urdf else mujoco.MjModel.from_xml_path(str(path))
-        if plant is not None:
-            model.gravity.linear = plant.opt.gravity  # which pinocchio does not read
+        plant = read_spec(path).compile()
+        model.gravity.linear = plant.opt.gravity  # which pinocchio does not read
         tree = Tree(model)
-        if plant is not None:
-            _check_reading(model, plant)
+        _check_reading(model, plant, MEND[is_urdf(path)])
         return Machine(tuple(model.names)[1:], model, tree)
     except (ValueError, RuntimeError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _check_reading(model: pin.Model, plant: mujoco.MjModel) -> None:
-    """Pinocchio 4.1 drops without a word all but the first body in the world and the pose of a body
-    fixed to it, and mixes up bodies without names. Raises ValueError for such a file."""
-    joints = [plant.joint(j).name for j in range(plant.njnt)]
-    if list(model.names)[1:] != joints:
+def _check_reading(model: pin.Model, plant: mujoco.MjModel, mend: str) -> None:
+    """Of an MJCF pinocchio 4.1 drops without a word all but the first body in the world and the
+    pose of a body fixed to it, and mixes up bodies without names. Raises ValueError for such a
+    file, and for one with forces that are not in our dynamics; `mend`: what to do about it."""
+    names, joints = list(model.names)[1:], [plant.joint(j).name for j in range(plant.njnt)]
+    if sorted(names) != sorted(joints):
         raise ValueError(
-            f"pinocchio reads the joints {', '.join(list(model.names)[1:])}, MuJoCo "
+            f"pinocchio reads the joints {', '.join(names)}, MuJoCo "
             f"{', '.join(joints)}: give every body and joint a name, and hang all bodies from one"
         )
+    if not names:
+        raise ValueError("has no joint that moves")
+    order = [joints.index(name) for name in names]  # where branches meet the two may differ
     data, ours, n = mujoco.MjData(plant), model.createData(), plant.nv
-    data.qpos[:], data.qvel[:] = np.linspace(0.3, 0.7, n), np.linspace(1.0, -2.0, n)
+    q, v = np.linspace(0.3, 0.7, n), np.linspace(1.0, -2.0, n)
+    data.qpos[order], data.qvel[order] = q, v
     mujoco.mj_fwdPosition(plant, data)
     mujoco.mj_fwdVelocity(plant, data)
     mass = np.zeros((n, n))
     mujoco.mj_fullM(plant, data, mass)
+    if plant.neq:
+        raise ValueError(
+            "has constraints between joints or bodies (equality; mimic in a URDF), which the "
+            "controller does not know: remove them, and joints that only follow others"
+        )
     pairs = {
-        "mass matrix": (np.triu(pin.crba(model, ours, data.qpos)), np.triu(mass)),
-        "bias force": (pin.nonLinearEffects(model, ours, data.qpos, data.qvel), data.qfrc_bias),
-        "damping": (model.damping, plant.dof_damping),
+        "mass matrix": (np.triu(pin.crba(model, ours, q)), np.triu(mass[np.ix_(order, order)])),
+        "bias force": (pin.nonLinearEffects(model, ours, q, v), data.qfrc_bias[order]),
+        "damping": (model.damping, plant.dof_damping[order]),
     }
     for name, (read, expected) in pairs.items():
-        if not np.allclose(read, expected, rtol=1e-6, atol=1e-9 * (1 + np.abs(expected).max())):
-            raise ValueError(
-                f"pinocchio reads another {name} than MuJoCo: give every body a name, and no pose "
-                "to a body that is fixed to the world"
-            )
+        if not _close(read, expected):
+            raise ValueError(f"pinocchio reads another {name} than MuJoCo: {mend}")
+    if not _close(-model.damping * v, data.qfrc_passive[order]):
+        raise ValueError(
+            "has springs, gravity compensation or drag (stiffness, gravcomp, density, viscosity), "
+            "which the controller does not know: remove them"
+        )
+
+
+def _close(read: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
+    return np.allclose(read, expected, rtol=1e-6, atol=1e-9 * (1 + np.abs(expected).max()))

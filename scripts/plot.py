@@ -15,12 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from headway.configs.load import load_config
+from headway.controller.record.reader import read_run
+from headway.controller.reference import ENTRY_S
 from headway.devices.axis import AxisUnits
 
 Array = NDArray[np.float64]
 
-ENTRY_S = 0.5  # from rest onto the reference: not judged
 BUCKETS = 250  # or a few more, across the picture; noise is drawn as the range in each
 COLOURS = ("#1f5fa8", "#d97a0f", "#3a8f4d", "#a03a8f", "#7a5230", "#5a6b78")
 STYLE = {
@@ -80,15 +80,15 @@ def draw_torque(panel: Axes, time_s: Array, torque: Array, limits: list[float]) 
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("run", type=Path, help="folder with record.npz and config.yaml")
+parser.add_argument("run", type=Path, help="folder of a run, or its run.mcap")
 parser.add_argument("svg", type=Path, help="the file to write")
 parser.add_argument("--seconds", type=float, default=5.0, help="of the task to show")
 options = parser.parse_args()
 
-config = load_config(options.run / "config.yaml")
+run = read_run(options.run)
+config, record = run.config(), run.arrays
 NAMES = [axis.joint for axis in config.machine.axes]
-tq_per_Nm = [AxisUnits.of(axis, config.loop).tq_per_Nm for axis in config.machine.axes]
-record = np.load(options.run / "record.npz")
+tq_per_effort = [AxisUnits.of(axis, config.loop).tq_per_effort for axis in config.machine.axes]
 
 time_s = record["truth_s"]
 error = 1e3 * (record["truth_position"] - record["truth_reference"])
@@ -107,8 +107,8 @@ draw_position(
     buckets(record["truth_reference"][shown]).mean(axis=1),
 )
 draw_error(panels[1], middle_s, error[shown], rms)
-torque = record["servo_torque_tq"][shown] / tq_per_Nm
-draw_torque(panels[2], middle_s, torque, [axis.torque_limit_Nm for axis in config.machine.axes])
+torque = record["servo_torque_tq"][shown] / tq_per_effort
+draw_torque(panels[2], middle_s, torque, [axis.effort_limit for axis in config.machine.axes])
 for panel in panels:
     panel.set_xlim(0, options.seconds)
     panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=3, frameon=False)

@@ -11,12 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from headway.configs.schema import Config
 from headway.controller.estimator import Sample
-from headway.controller.loop import Loop, Phase, Tick
+from headway.controller.loop import Loop
+from headway.controller.record.note import note_tick
+from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.reference import Sines
+from headway.controller.tick import Phase
 from headway.devices.axis import device_settings
 from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
@@ -24,7 +26,6 @@ from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.sim.network import Mailbox, Wire
 from headway.sim.plant import Plant
-from headway.sim.record import Record
 
 TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
@@ -66,27 +67,28 @@ class SimLink:
 class Lockstep:
     """One machine in closed loop, from power-up to rest."""
 
-    def __init__(self, config: Config, folder: Path) -> None:
-        """`folder` is where the config's relative paths start. Raises ValueError for mistakes."""
+    def __init__(self, config: Config, folder: Path, record: Recorder | None = None) -> None:
+        """`folder` is where the config's relative paths start; `record` is by default in memory.
+
+        Raises ValueError for mistakes.
+        """
         self.config = config
         path = (folder / config.machine.model).resolve()
-        if not path.is_file():
-            raise ValueError(f"machine.model: there is no file {path}")
         n = len(config.machine.axes)
         root = np.random.SeedSequence(config.seed)
         world, outliers, *wires = (np.random.default_rng(s) for s in root.spawn(2 + 2 * n))
         self._outlier_rng = outliers
-        self.plant = Plant(path, config.machine, config.sim.plant)
+        reference = Sines(config.task)
+        start = config.sim.start_rad_or_m or reference.at(np.zeros(1))[0][0].tolist()
+        period_us = config.device.servo_period_us
+        self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
         self.epoch_us = int(world.integers(10**15, 2 * 10**15))
         self.link = SimLink(config, self.plant, self.epoch_us, wires)
-        reference = Sines(config.task)
-        start = config.sim.start_rad or reference.at(np.zeros(1))[0][0]
-        self.plant.position = np.array(start)
         remotes = [self._power_up(device, world) for device in range(n)]
         self.remotes = remotes
         self.reference = reference
-        self.loop = Loop(config, load_machine(path), remotes, reference)
-        self.record = Record()
+        self.record = record or Memory()
+        self.loop = Loop(config, load_machine(path), remotes, reference, self.record)
         self.ticks = self.deadline_misses = 0
         self.stopping = False  # set it to end the run early: the last plan brings all to rest
         self._busy_until_us = 0
@@ -102,7 +104,8 @@ class Lockstep:
         return Remote(key, device + 1, COAST_KNOTS * config.loop.knot_us)
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:
-        """From power-up through the task's duration to rest; `progress` gets seconds of the task.
+        """From power-up through the task's duration to rest; after each tick of the task `progress`
+        gets its seconds.
 
         Raises DeviceError if a device does not answer or does not start.
         """
@@ -114,13 +117,15 @@ class Lockstep:
             self._host_tick(now_us)
             now_us += knot_us
             if self.loop.phase is Phase.RUN and end_us is None:
+                self.record.add(("task", now_us, (self.loop.start_us,)))
                 end_us = self.loop.start_us + round(self.config.duration_s * 1e6)
                 self.link.count_anew()
-            if progress and end_us is not None and self.ticks % 64 == 0:
+            if progress and end_us is not None:
                 progress((now_us - self.loop.start_us) * 1e-6)
         self.end_us = now_us
         plan_us = self.config.mpc.horizon_us + self.config.loop.margin_us
         self._advance_to(now_us - self.epoch_us + plan_us + round(REST_S * 1e6))
+        self._note_end()
 
     def task_s(self, system_us: int) -> float:
         """Time of the task at a system time."""
@@ -148,9 +153,11 @@ class Lockstep:
             return
         in_time = self.loop.write(self.link, outbox, sent_us)
         self.deadline_misses += running and not in_time
-        if tick.phase is Phase.RUN:
+        if running:
             self.ticks += 1
-            self._note(tick)
+            self.record.add(("actual", now_us, (self.plant.position, self.plant.velocity)))
+        note_tick(self.record, tick, sent_us, in_time)
+        self.record.await_room()
 
     def _corrupt(self, samples: list[Sample]) -> None:
         share = self.config.sim.outlier_share
@@ -158,8 +165,9 @@ class Lockstep:
             return
         for i, sample in enumerate(samples):
             if self._outlier_rng.random() < share:
-                off = self._outlier_rng.uniform(-1, 1)
-                samples[i] = Sample(sample.time_us, sample.axis, sample.position_rad + off)
+                position = sample.position + self._outlier_rng.uniform(-1, 1)
+                samples[i] = Sample(sample.time_us, sample.axis, position)
+                self.record.add(("outlier", sample.time_us, (sample.axis, position)))
 
     def _advance_to(self, true_us: int) -> None:
         """Steps the plant to the first step at or after `true_us`, noting the truth each ms."""
@@ -174,43 +182,35 @@ class Lockstep:
 
     def _note_truth(self, true_us: int) -> None:
         """True motion; and the state at that time as the reference has it."""
-        add, plant = self.record.add, self.plant
-        time_s = self.task_s(true_us + self.epoch_us)
-        add("truth_s", time_s)
-        add("truth_position", plant.position)
-        add("truth_velocity", plant.velocity)
-        add("truth_torque", plant.torque)
-        add("truth_reference", self.reference.at(np.array([time_s]))[0][0])
-        setpoints = [node.setpoint(true_us + self.epoch_us) for node in plant.nodes]
-        add("setpoint", [v for setpoint in setpoints for v in setpoint])
-        add("servo_torque_tq", [node.torque_tq for node in plant.nodes])
-        add("servo_unclipped_tq", [node.unclipped_tq for node in plant.nodes])
+        plant, system_us = self.plant, true_us + self.epoch_us
+        reference = self.reference.at(np.array([self.task_s(system_us)]))[0][0]
+        truth = plant.position, plant.velocity, plant.torque, reference
+        self.record.add(("truth", system_us, truth))
+        setpoints = zip(*(node.setpoint(system_us) for node in plant.nodes), strict=True)
+        torques = [node.torque_tq for node in plant.nodes]
+        unclipped = [node.unclipped_tq for node in plant.nodes]
+        self.record.add(("servo", system_us, (*setpoints, torques, unclipped)))
+        self._publish()
 
-    def _note(self, tick: Tick) -> None:
-        add, nan = self.record.add, np.nan
-        n = len(self.remotes)
-        add("tick_s", self.task_s(tick.now_us))
-        add("tick_true_position", self.plant.position)
-        add("tick_true_velocity", self.plant.velocity)
-        add("tick_samples", tick.samples)
-        add("tick_states", tick.states)
-        for name, estimate in (("now", tick.now), ("commit", tick.commit)):
-            assert estimate is not None
-            add(f"{name}_s", self.task_s(estimate.time_us))
-            add(f"{name}_estimate", estimate.z)
-            add(f"{name}_sigma", np.sqrt(np.diag(estimate.covariance)))
-        add("accepted", tick.accepted)
-        solution = tick.solution
-        add("iterations", solution.iterations if solution else nan)
-        add("residual", solution.residual if solution else nan)
-        empty: NDArray[np.float64] = np.full(n, nan)
-        add("encoding_error", empty if tick.encoding_error is None else tick.encoding_error)
-        add("planned_torque", empty if tick.planned_torque is None else tick.planned_torque)
-        add("compute_us", tick.total_us)
-        add("estimate_us", tick.estimate_us)
-        add("linearize_us", solution.linearize_us if solution else nan)
-        add("solve_us", solution.solve_us if solution else nan)
-        add("encode_us", tick.encode_us)
+    def _note_end(self) -> None:
+        """What the devices and the wires have counted."""
+        statuses = [node.status for node in self.plant.nodes]
+        counts = (
+            self.ticks,
+            self.deadline_misses,
+            sum(wire.sent for wire in self.link.to_device),
+            sum(wire.lost for wire in self.link.to_device),
+            sum(status.plans_late for status in statuses),
+            sum(status.plans_refused for status in statuses),
+            [node.state for node in self.plant.nodes],
+        )
+        self.record.add(("end", self.plant.true_us + self.epoch_us, counts))
+        self._publish()
+
+    def _publish(self) -> None:
+        """Time stands still until the record has taken it all."""
+        self.record.publish()
+        self.record.await_room()
 
     def device_states(self) -> list[str]:
         """State of every device, by name, as the simulator sees it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from headway.configs.schema import Machine
 from headway.configs.schema import Plant as PlantConfig
 from headway.sim import _board
-from headway.sim.plugin import load_plugin
+from headway.sim.drives import driven_model
 
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -34,33 +35,32 @@ class Plant:
     Raises ValueError where config and model do not fit together.
     """
 
-    def __init__(self, path: Path, machine: Machine, config: PlantConfig) -> None:
-        load_plugin()
-        try:
-            self.model = mujoco.MjModel.from_xml_path(str(path))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+    def __init__(
+        self,
+        path: Path,
+        machine: Machine,
+        config: PlantConfig,
+        servo_period_us: int,
+        start: Sequence[float],
+    ) -> None:
+        """`start`: positions of the axes at power-up [rad or m]."""
+        self.model = driven_model(path, machine, servo_period_us, start)
         self._vary(machine, config)
         self.data = mujoco.MjData(self.model)
         self.step_us = round(self.model.opt.timestep * 1e6)
         self.nodes: list[_board.Node] = []
         self._qpos, self._dof, self._actuator = [], [], []
+        on_joint = {int(joint): a for a, joint in enumerate(self.model.actuator_trnid[:, 0])}
         for axis in machine.axes:
-            joint = _named(path, self.model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
-            actuator = self._actuator_on(path, joint, axis.joint)
-            start = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
-            window = self.data.plugin_state[start : start + _board.NODE_NUMBERS]
-            self.nodes.append(_board.Node(window))
+            joint = self.model.joint(axis.joint).id
+            actuator = on_joint[joint]
+            window = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
+            numbers = self.data.plugin_state[window : window + _board.NODE_NUMBERS]
+            self.nodes.append(_board.Node(numbers))
             self._qpos.append(self.model.jnt_qposadr[joint])
             self._dof.append(self.model.jnt_dofadr[joint])
             self._actuator.append(actuator)
-
-    def _actuator_on(self, path: Path, joint: int, name: str) -> int:
-        for actuator in range(self.model.nu):
-            on_joint = self.model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-            if on_joint and self.model.actuator_trnid[actuator, 0] == joint:
-                return actuator
-        raise ValueError(f"{path}: joint {name} has no headway.servo actuator")
+        self.position = np.array(start)
 
     def _vary(self, machine: Machine, config: PlantConfig) -> None:
         model = self.model
@@ -71,7 +71,7 @@ class Plant:
             model.body_mass[index] *= factor
             model.body_inertia[index] *= factor
         model.dof_damping[:] *= config.viscous_scale
-        for axis, coulomb in zip(machine.axes, config.coulomb_Nm or [], strict=False):
+        for axis, coulomb in zip(machine.axes, config.coulomb_Nm_or_N or [], strict=False):
             joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
             if joint >= 0:
                 model.dof_frictionloss[model.jnt_dofadr[joint]] = coulomb
@@ -87,7 +87,7 @@ class Plant:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """True joint positions [rad], by axis."""
+        """True joint positions [rad or m], by axis."""
         return self.data.qpos[self._qpos]  # type: ignore[no-any-return]
 
     @position.setter
@@ -96,12 +96,12 @@ class Plant:
 
     @property
     def velocity(self) -> NDArray[np.float64]:
-        """True joint velocities [rad/s], by axis."""
+        """True joint velocities [rad/s or m/s], by axis."""
         return self.data.qvel[self._dof]  # type: ignore[no-any-return]
 
     @property
     def torque(self) -> NDArray[np.float64]:
-        """Torque of motor and brake at the joint [Nm], by axis."""
+        """Torque (or force) of motor and brake at the joint [Nm or N], by axis."""
         return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
 
     def step(self, count: int) -> None:
@@ -112,13 +112,3 @@ class Plant:
                 "the simulated machine's motion is unstable: check sim.plant, the "
                 "servo's gains and the model"
             )
-
-
-def _named(path: Path, model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    index = mujoco.mj_name2id(model, kind, name)
-    if index < 0:
-        known = ", ".join(
-            mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in range(model.njnt)
-        )
-        raise ValueError(f"{path}: there is no joint {name}; the model's joints are {known}")
-    return int(index)

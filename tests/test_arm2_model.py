@@ -48,7 +48,7 @@ def test_the_links_are_thin_rods_and_the_armature_is_the_rotors(model: mujoco.Mj
         np.testing.assert_allclose(
             model.actuator_user[axis, :5],
             [
-                config.machine.axes[axis].counts_per_turn / (2 * np.pi),
+                config.machine.axes[axis].counts_per_unit,
                 motor.gear,
                 motor.torque_constant_Nm_per_A,
                 motor.resistance_ohm,

@@ -19,6 +19,8 @@ import pytest
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
+from headway.controller.record.channels import CHANNELS
+from headway.controller.record.reader import read_run
 from headway.sim.lockstep import Lockstep
 
 ARM2 = Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml"
@@ -73,6 +75,7 @@ SHAPE: dict[str, Any] = {
         "clipped_share": AXES,
         "limit": AXES,
         "noise_rms": AXES,
+        "unit": [str] * 2,
     },
     "compute_us": {"p50": float, "p99": float, "p999": float, "max": float},
     "compute_split_us": {
@@ -84,6 +87,7 @@ SHAPE: dict[str, Any] = {
     "at_rest_after_end": bool,
     "limits_violated": [],
     "log_sha256": str,
+    "record": {"complete": bool, "batches_dropped": int, "messages": dict.fromkeys(CHANNELS, int)},
     "versions": dict.fromkeys(
         ("python", "headway", "mujoco", "casadi", "osqp", "numpy", "pin"), str
     ),
@@ -102,11 +106,12 @@ def test_a_run_as_a_process() -> None:
     summary = json.loads(done.stdout)
     assert shape_of(summary) == SHAPE
     assert sorted(p.name for p in Path().iterdir()) == ["kept"]
-    names = ["config.yaml", "record.npz", "summary.json"]
+    names = ["config.yaml", "run.mcap", "summary.json"]
     assert sorted(p.name for p in Path("kept").iterdir()) == names
     assert json.loads(Path("kept/summary.json").read_text()) == summary
-    with np.load("kept/record.npz") as record:
-        assert len(record["tick_s"]) == summary["solver"]["ticks"]
+    recorded = read_run(Path("kept"))
+    assert recorded.complete and recorded.log_sha256 == summary["log_sha256"]
+    assert recorded.config_text == Path("kept/config.yaml").read_text()
     again = headway("run", "kept/config.yaml", "--json")
     assert json.loads(again.stdout)["log_sha256"] == summary["log_sha256"]
     assert len(list(Path("runs").iterdir())) == 1
@@ -198,11 +203,11 @@ def test_out_cannot_be_made(capsys: pytest.CaptureFixture[str]) -> None:
         (["{arm2}", "--set", "loop.margin_us"], "write key.path=value"),
         (["{arm2}", "--set", "machine.axes.0.joint=q7"], "no joint q7"),
         (["{arm2}", "--set", "machine.model=none.xml"], "machine.model: there is no file"),
-        (["{arm2}", "--set", "machine.model=arm2.yaml"], "arm2.yaml: XML"),
-        (["{arm2}", "--set", "task.axes=[]"], "task.axes has 0 entries; the machine has 2 axes"),
+        (["{arm2}", "--set", "machine.model=arm2.yaml"], "arm2.yaml: could not find decoder"),
+        (["{arm2}", "--set", "task.axes=[]"], "task.axes: has 0 entries; the machine has 2 axes"),
         (["{arm2}", "--set", "sim.plant.mass_scale.link9=2"], "no body link9"),
         (["{arm2}", "--set", "machine.axes.0.position_max_rad=500"], "position_max_rad is 500"),
-        (["{arm2}", "--set", "mpc.horizon_us=1982464"], "points; a frame holds 128"),
+        (["{arm2}", "--set", "mpc.horizon_us=1916928"], "points; a frame holds 128"),
     ],
 )
 def test_mistakes(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
@@ -216,9 +221,9 @@ def test_mistakes(arguments: list[str], message: str, capfd: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("knot_us:", "knots_us:", "loop.knots_us: unknown key (given: 4096)"),
-        ("gear: 30", "gear: [30]", "machine.axes.0.motor.gear: Input should be a valid number"),
-        ("duration_s: 10", "name: arm2", "is not YAML: found duplicate key"),
+        ("knot_us:", "knots_us:", "3: loop.knots_us: unknown key; did you mean `knot_us`?"),
+        ("gear: 30", "gear: [30]", "15: machine.axes.0.motor.gear: must be a number"),
+        ("duration_s: 10", "name: arm2", "1: name: this key is given twice"),
     ],
 )
 def test_mistakes_in_the_file(
@@ -228,13 +233,13 @@ def test_mistakes_in_the_file(
     line = 1 + text[: text.index(old)].count("\n")
     Path("mine.yaml").write_text(text.replace(old, new))
     assert main(["run", "mine.yaml"]) == 2
-    assert f"mine.yaml:{line}: {message}" in capsys.readouterr().err
+    assert f"mine.yaml:{line}:{message}" in capsys.readouterr().err
 
 
 def test_mistake_as_a_process() -> None:
     done = headway("run", "none.yaml", "--json")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "none.yaml: cannot be read: No such file or directory\n"
+    assert done.stderr == f"none.yaml: cannot be read: there is no such file in {Path.cwd()}\n"
 
 
 def test_limit_violated(capsys: pytest.CaptureFixture[str]) -> None:
@@ -243,8 +248,7 @@ def test_limit_violated(capsys: pytest.CaptureFixture[str]) -> None:
     (violation,) = json.loads(out)["limits_violated"]
     assert re.fullmatch(r"q1: position 0\.\d+ rad below 0\.78", violation)
     assert f"limit violated: {violation}" in err
-    with np.load("out/record.npz") as record:
-        assert np.min(record["truth_position"][:, 0]) < 0.78
+    assert np.min(read_run(Path("out")).arrays["truth_position"][:, 0]) < 0.78
 
 
 @pytest.mark.parametrize("way", ["to_device", "to_host"])
@@ -282,7 +286,7 @@ def cpu_s(pid: int) -> float:
 def test_ctrl_c() -> None:
     command = [str(COMMAND), "run", str(ARM2), "--duration", "1000", "--json", "--out", "out"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not list(Path().glob(".out.*")):  # the simulation begins
+    while not Path("out/run.mcap").exists():  # the simulation begins
         assert process.poll() is None
         time.sleep(0.02)
     began_s = cpu_s(process.pid)
@@ -296,9 +300,9 @@ def test_ctrl_c() -> None:
     assert summary == json.loads(Path("out/summary.json").read_text())
     assert summary["at_rest_after_end"] is True
     assert summary["solver"]["ticks"] > 0
-    with np.load("out/record.npz") as record:
-        assert len(record["tick_s"]) == summary["solver"]["ticks"]
-        assert record["truth_s"][-1] > record["tick_s"][-1] + 1
+    run = read_run(Path("out"))
+    assert run.complete and run.messages["tick"] == summary["solver"]["ticks"]
+    assert run.arrays["truth_s"][-1] > run.arrays["tick_s"][-1] + 1
     assert [p.name for p in Path().iterdir()] == ["out"]
 
 

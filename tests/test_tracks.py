@@ -13,9 +13,9 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from headway.configs.load import load_config
 from headway.configs.schema import Config
 from headway.controller import tracks
-from headway.controller.loop import Outbox, Phase, Tick
 from headway.controller.mpc import Motion
 from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.tick import Outbox, Phase, Tick
 from headway.controller.tracks import Commitment, Encoder, Fit
 from headway.devices import core
 from headway.devices.axis import AxisUnits
@@ -160,8 +160,8 @@ def torque_error(motion: Motion, points: list[Points]) -> Array:
     """|f + Kp (r - q*) + (Kd + c)(r' - q*') - tau*| at the knots, on the plan: (knots, axes)."""
     position, torque = encoded(points)
     axes = CONFIG.machine.axes
-    kp = np.array([a.servo.kp_Nm_per_rad for a in axes])
-    kd = np.array([a.servo.kd_Nm_s_per_rad for a in axes])
+    kp = np.array([a.servo.kp for a in axes])
+    kd = np.array([a.servo.kd for a in axes])
     constant = np.array([a.motor.gear * a.motor.torque_constant_Nm_per_A for a in axes])
     emf = constant**2 / np.array([a.motor.resistance_ohm for a in axes])
     rate = position(KNOTS, 1) / KNOT_S

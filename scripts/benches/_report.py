@@ -39,13 +39,17 @@ def machine() -> str:
     return f"{model}, Python {platform.python_version()}, {platform.system()}"
 
 
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
 def table(title: str, rows: list[dict[str, Any]]) -> None:
     """Prints rows of equal keys."""
     view = Table(title=title, title_justify="left")
     for key in rows[0]:
         view.add_column(key, justify="left" if isinstance(rows[0][key], str) else "right")
     for row in rows:
-        view.add_row(*(v if isinstance(v, str) else f"{v:.4g}" for v in row.values()))
+        view.add_row(*(v if isinstance(v, str) else _figure(v) for v in row.values()))
     Console(width=140).print(view)
 
 

@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 from _report import arguments, finish, goal, table
 
+from headway.cli.simulation import Simulation
 from headway.configs.load import load_config
-from headway.sim.lockstep import Lockstep
+from headway.controller.record.columns import Arrays
+from headway.models.margin import PHASE_MARGIN_MIN_DEG, phase_margin_deg
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PID = ["mpc.enabled=false", "mpc.feedforward=none", "device.integrate_while_running=true"]
 FEEDFORWARD = ["mpc.enabled=false", "device.integrate_while_running=true"]
 IDEAL = [
     "mpc.enabled=false",
-    "sim.plant={coulomb_Nm: [0.15, 0.15]}",  # and nothing else differs from the model
+    "sim.plant={coulomb_Nm_or_N: [0.15, 0.15]}",  # and nothing else differs from the model
     "machine.axes.0.coulomb_Nm=0.15",
     "machine.axes.1.coulomb_Nm=0.15",
     "sim.to_device={delay_us: 0, jitter_us: 0, loss: 0}",
@@ -32,7 +34,6 @@ SHIPPED_GAINS = ((120.0, 6.0), (60.0, 2.0))
 EMF_DAMPING = (2.88, 0.72)  # Nm s/rad
 INERTIA = (0.251, 0.0332)  # kg m^2
 LAG_S = 1e-3
-PHASE_MARGIN_MIN_DEG = 30.0  # Astrom and Murray, Feedback Systems, 2008, section 11.3: 30 to 60
 
 
 def gains(kp: float, kd: float, ki: float) -> list[str]:
@@ -48,44 +49,48 @@ def gains(kp: float, kd: float, ki: float) -> list[str]:
     return settings
 
 
-def phase_margin_deg(kp: float, kd: float, ki: float) -> float:
+def margin_deg(kp: float, kd: float, ki: float) -> float:
     """The smaller of both joints' phase margins, at factors on the shipped gains."""
     margins = []
-    w = np.geomspace(1, 2000, 20000)
-    for (shipped_kp, shipped_kd), emf, inertia in zip(
-        SHIPPED_GAINS, EMF_DAMPING, INERTIA, strict=True
-    ):
-        p, d = kp * shipped_kp, kd * shipped_kd + emf
-        loop = (
-            (p + d * 1j * w + ki * p / (1j * w))
-            * np.exp(-1j * w * LAG_S)
-            / (inertia * (1j * w) ** 2)
-        )
-        crossover = np.nonzero(np.abs(loop) > 1)[0].max()
-        margins.append(180 + np.degrees(np.unwrap(np.angle(loop))[crossover]))
-    return float(min((m + 180) % 360 - 180 for m in margins))
+    for (p, d), emf, inertia in zip(SHIPPED_GAINS, EMF_DAMPING, INERTIA, strict=True):
+        margins.append(phase_margin_deg(kp * p, kd * d + emf, ki * kp * p, inertia, LAG_S))
+    return min(margins)
 
 
 def run(job: tuple[str, list[str], int, float]) -> dict[str, Any]:
-    """One run: RMS error [mrad] and torque noise [Nm] by axis, and what the latency table needs."""
+    """One run: RMS error [mrad] and torque noise [Nm] by axis, as in its summary, and the mean
+    times on the way from an encoder to the motor [us]."""
     name, overrides, seed, duration_s = job
     config = load_config(CONFIGS / name, [*overrides, f"seed={seed}", f"duration_s={duration_s}"])
-    lockstep = Lockstep(config, CONFIGS)
-    lockstep.run()
-    record = lockstep.record.arrays()
-    time_s = record["truth_s"]
-    task = (time_s > 0.5) & (time_s < duration_s)
-    error = (record["truth_position"] - record["truth_reference"])[task] * 1e3
-    result = {
-        "rms": np.sqrt(np.mean(error**2, axis=0)),
-        # What is faster than the motion, as in the run's summary: second difference over sqrt(6).
-        "noise": np.std(np.diff(record["servo_torque_tq"][task] * 1e-6, n=2, axis=0), axis=0)
-        / 6**0.5,
+    simulation = Simulation(config, CONFIGS)
+    summary = simulation.run()
+    split = {part: times["p50"] for part, times in summary["compute_split_us"].items()}
+    return {
+        "rms": np.array(summary["tracking"]["rms"]),
+        "noise": np.array(summary["torque"]["noise_rms"]),
+        **{f"{part}_us": np.nan if time is None else time for part, time in split.items()},
+        **latencies(simulation.record.arrays(), config.loop.knot_us),
     }
-    for part in ("estimate_us", "linearize_us", "solve_us", "encode_us", "compute_us"):
-        known = record[part][np.isfinite(record[part])]
-        result[part] = np.median(known) if len(known) else np.nan
-    return result
+
+
+def latencies(record: Arrays, knot_us: int) -> dict[str, float]:
+    """Means over the task [us], from the stamps in the record."""
+    task = record["received_status"] & (record["received_us"] >= record["task_start_us"][0])
+    left_us, arrived_us = record["received_sent_us"], record["received_us"]
+    ages = []
+    for axis in np.unique(record["received_device"]):
+        last_us = 0
+        for i in np.flatnonzero(task & (record["received_device"] == axis)):
+            told = slice(*record["received_sample_time_us_offsets"][i : i + 2])
+            samples_us = record["received_sample_time_us"][told]
+            ages.append(left_us[i] - samples_us[samples_us > last_us])
+            last_us = samples_us[-1]
+    return {
+        "sample": float(np.mean(np.concatenate(ages))),
+        "wire": float(np.mean((arrived_us - left_us)[task])),
+        "wait": float(np.mean(-arrived_us[task] % knot_us)),
+        "compute": float(np.mean(record["tick_sent_us"] - record["tick_us"])),
+    }
 
 
 def sweep(pool: Executor, base: list[str], long: bool) -> list[dict[str, Any]]:
@@ -99,7 +104,7 @@ def sweep(pool: Executor, base: list[str], long: bool) -> list[dict[str, Any]]:
     for (kp, kd, ki), result in zip(grid, pool.map(run, jobs), strict=True):
         rms, noise = result["rms"], result["noise"]
         rows.append({
-            "Kp x": kp, "Kd x": kd, "Ki/Kp 1/s": ki, "phase margin": phase_margin_deg(kp, kd, ki),
+            "Kp x": kp, "Kd x": kd, "Ki/Kp 1/s": ki, "phase margin": margin_deg(kp, kd, ki),
             "rms q1 mrad": rms[0], "rms q2 mrad": rms[1],
             "noise q1 Nm": noise[0], "noise q2 Nm": noise[1],
         })  # fmt: skip
@@ -123,23 +128,18 @@ def best(rows: list[dict[str, Any]], noise: Any = (np.inf, np.inf)) -> list[str]
 def latency(config: str, result: dict[str, Any]) -> list[dict[str, Any]]:
     """From an encoder sample to the torque it changes, by stage, in microseconds."""
     c = load_config(CONFIGS / config)
-    knot, sim = c.loop.knot_us, c.sim
+    knot, wire = c.loop.knot_us, c.sim.to_device
     solve = result["linearize_us"] + result["solve_us"] + result["encode_us"]
-    wait = c.loop.margin_us
     stages = [
-        ("sample: age when a status leaves (mean)", knot / 2, "1 kHz samples, one status a knot"),
-        ("wire to the host", sim.to_host.delay_us, f"+- {sim.to_host.jitter_us} jitter"),
-        ("wait for the tick (mean)", knot / 2, "ticks lie on knots"),
-        ("estimate (within the compute time)", result["estimate_us"], "measured median"),
-        ("linearize, solve, encode (within)", solve, "measured median"),
-        ("compute, as simulated", sim.compute_us, "sim.compute_us"),
-        ("wire to the device", sim.to_device.delay_us, f"+- {sim.to_device.jitter_us} jitter"),
-        ("first knot that may change, from the tick", wait, "the margin: covers the three above"),
-        (
-            "effective torque, from there",
-            2 * knot,
-            "a new point weighs u^3/6 in its first interval",
-        ),
+        ("sample: its age when the status leaves", result["sample"], "measured mean"),
+        ("wire to the host", result["wire"], "measured mean"),
+        ("wait for the tick", result["wait"], "measured mean; ticks lie on knots"),
+        ("computing, as simulated", result["compute"], "sim.compute_us, a measured p99.9"),
+        ("  of which estimate", result["estimate_us"], "measured median"),
+        ("  of which linearize, solve, encode", solve, "measured median"),
+        ("wire to the device", wire.delay_us, f"as configured, +- {wire.jitter_us}"),
+        ("first knot that may change, from the tick", c.loop.margin_us, "the margin"),
+        ("effective torque, from there", 2 * knot, "a new point first weighs u^3/6"),
     ]
     return [{"stage": s, "us": float(t), "note": n} for s, t, n in stages]
 

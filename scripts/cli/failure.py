@@ -13,6 +13,7 @@ class ExitCode(enum.IntEnum):
     USAGE = 2  # a mistake in the command line or in the config
     LIMIT = 3  # the run is complete, but a limit was violated in it
     DEVICE = 4  # a device or the link to it failed
+    RECORD = 5  # the run is over, but its record misses something: do not trust the figures
     INTERRUPTED = 130  # Ctrl-C
 
 

@@ -11,9 +11,15 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
+from headway.cli.check import check
+from headway.cli.completion import completion
+from headway.cli.export import export
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, stamp
+from headway.cli.init import init
+from headway.cli.report import report
 from headway.cli.run import run
+from headway.cli.sweep import sweep
 
 HELP = """Receding-horizon control for machines at the far end of slow, jittery, lossy wires.
 
@@ -23,11 +29,12 @@ Example: simulate two seconds of the two-link arm and see how well it followed.
 """
 
 EXIT_CODES = """Exit codes: 0 done, 1 internal error, 2 mistake in the command line or the config,
-3 a limit was violated, 4 a device or the link failed, 130 interrupted."""
+3 a limit was violated, 4 a device or the link failed, 5 the record misses something,
+130 interrupted."""
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Runs the command with `arguments` (default: those of the process); returns its exit code."""
+def make_app() -> App:
+    """The command line: all commands, their options and their help."""
     app = App(
         name="headway",
         help=HELP,
@@ -37,11 +44,17 @@ def main(arguments: list[str] | None = None) -> int:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    app.command(run)
+    for command in (init, check, run, report, sweep, export, completion):
+        app.command(command)
+    return app
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command with `arguments` (default: those of the process); returns its exit code."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `headway run ... | head` just ends
     try:
-        return int(app(arguments, exit_on_error=False) or ExitCode.DONE)
+        return int(make_app()(arguments, exit_on_error=False) or ExitCode.DONE)
     except CycloptsError:
         return ExitCode.USAGE  # cyclopts has told what is wrong
     except Failure as failure:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,14 +15,15 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from headway.cli.failure import ExitCode, Failure
-from headway.cli.folder import RUNS, check_free, stamp, written_whole
+from headway.cli.folder import RUNS, check_free, run_folder, stamp
 from headway.cli.progress import Bar
 from headway.cli.table import summary_table
-from headway.configs.load import ConfigError, load_config
-from headway.configs.save import save_config
-from headway.configs.schema import Config
+from headway.cli.versions import versions
+from headway.cli.view import View, check_display
 
 if TYPE_CHECKING:
+    from headway.configs.schema import Config
+    from headway.controller.record.recording import Recording
     from headway.sim.lockstep import Lockstep
 
 
@@ -37,12 +39,14 @@ def run(
         Parameter(name="--set", metavar="KEY.PATH=VALUE", negative_iterable=()),
     ] = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    view: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Runs a config's task in closed loop, in simulation, and measures how well it went.
 
-    Leaves a folder with summary.json, record.npz (every tick, and the plant's truth at 1 kHz) and
-    config.yaml (the config as used, which can be run again). Ctrl-C brings the machine to rest
-    first and keeps what there is; a second one gives up.
+    Leaves a folder with config.yaml (the config as used, which can be run again), run.mcap (every
+    packet and every tick, and the plant's truth at 1 kHz) and summary.json. Ctrl-C brings the
+    machine to rest first and keeps what there is; a second one gives up. A run that is killed
+    leaves the record up to then.
 
     Example: ten times the usual loss of packets, another seed, and the summary for a script.
 
@@ -63,7 +67,15 @@ def run(
         --set machine.axes.0.servo.kp_Nm_per_rad=90.
     to_json
         Prints the summary as JSON, and nothing else, on standard output.
+    view
+        Shows the machine in MuJoCo's own viewer while it runs, at most at real time. Needs a
+        display. The run is the same.
     """
+    if view:
+        check_display()
+    from headway.configs.load import ConfigError, load_config  # here: help should not wait for it
+    from headway.configs.save import save_config
+
     changes = list(overrides or [])
     if duration is not None:
         changes.append(f"duration_s={duration}")
@@ -75,32 +87,54 @@ def run(
         raise Failure(ExitCode.USAGE, str(error)) from error
     folder = out or RUNS / f"{checked.name}-{stamp()}"
     check_free(folder)
-    lockstep = _set_up(config, checked)
-    with written_whole(folder) as unfinished:
-        summary = _simulate(lockstep)
-        _write(unfinished, summary, lockstep, config.parent)
+    with run_folder(folder) as made:
+        save_config(checked, config.parent, folder / "config.yaml")
+        with _recording(folder, checked) as recording:
+            lockstep = _set_up(config, checked, recording)
+            try:
+                _simulate(lockstep, view)
+            except Exception as error:
+                mistake = isinstance(error, Failure) and error.code is ExitCode.USAGE
+                made.keep = lockstep.ticks > 0 and not mistake
+                if made.keep:
+                    print(f"the record up to then is in {folder}", file=sys.stderr)
+                raise
+        made.keep = True
+        summary = _summary(lockstep, recording)
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        (folder / "summary.json").write_text(text, encoding="utf-8")
     if to_json:
-        print(json.dumps(summary, indent=2, allow_nan=False))
+        print(text, end="")
     else:
         Console().print(summary_table(summary))
         print(f"written to {folder}")
-    return _verdict(summary, lockstep.stopping)
+        print(f"to look at it: headway report {shlex.quote(str(folder))}")
+    return _verdict(summary, lockstep.stopping, recording.failure)
 
 
-def _set_up(path: Path, config: Config) -> Lockstep:
+def _recording(folder: Path, config: Config) -> Recording:
+    """Starts the run's record. Raises OSError."""
+    from headway.controller.record.reader import NAME
+    from headway.controller.record.recording import Recording
+    from headway.controller.record.target import About
+
+    text = (folder / "config.yaml").read_text(encoding="utf-8")
+    return Recording(folder / NAME, About(text, config.seed, versions()))
+
+
+def _set_up(path: Path, config: Config, recording: Recording) -> Lockstep:
     """The simulation at power-up. Raises Failure where config and model do not fit together."""
     from headway.sim.lockstep import Lockstep  # here, since it takes a second, and help should not
 
     try:
-        return Lockstep(config, path.parent)
+        return Lockstep(config, path.parent, recording)
     except ValueError as error:
         raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
 
 
-def _simulate(lockstep: Lockstep) -> dict[str, Any]:
-    """Runs to the end, or until Ctrl-C; returns the summary. Raises Failure if a device fails."""
-    from headway.cli.summary import summarize
-    from headway.controller.loop import DeviceError
+def _simulate(lockstep: Lockstep, view: bool) -> None:
+    """Runs to the end, or until Ctrl-C. Raises Failure if a device fails."""
+    from headway.controller.tick import DeviceError
     from headway.sim.plant import UnstableError
 
     config = lockstep.config
@@ -109,15 +143,41 @@ def _simulate(lockstep: Lockstep) -> dict[str, Any]:
             Bar(config.name, config.duration_s) as bar,
             _ctrl_c_stops(lockstep),
             redirect_stdout(sys.stderr),  # standard output is for the summary alone
+            View(lockstep.plant) if view else nullcontext() as window,
         ):
-            lockstep.run(bar.update)
+
+            def progress(done_s: float) -> None:
+                bar.update(done_s)
+                if window:
+                    window.show(done_s)
+
+            lockstep.run(progress)
     except DeviceError as error:
         raise Failure(ExitCode.DEVICE, str(error)) from error
     except UnstableError as error:
         raise Failure(ExitCode.USAGE, str(error)) from error
     if lockstep.ticks == 0:
         raise KeyboardInterrupt  # before the task began: there is nothing to tell
-    return summarize(config, lockstep, lockstep.record.arrays())
+
+
+def _summary(lockstep: Lockstep, recording: Recording) -> dict[str, Any]:
+    """The summary, from what has been recorded. Raises Failure if that is nothing."""
+    from headway.cli.summary import summarize
+    from headway.controller.record.reader import RecordError
+
+    try:
+        run = recording.run()
+    except RecordError as error:
+        raise Failure(ExitCode.RECORD, f"{error} ({recording.failure})") from error
+    if not run.messages["tick"] or not run.messages["truth"]:
+        reason = f"{run.path}: nothing of the task was recorded: {recording.failure}"
+        raise Failure(ExitCode.RECORD, reason)
+    kept = {
+        "complete": run.complete,
+        "batches_dropped": run.batches_dropped,
+        "messages": run.messages,
+    }
+    return {**summarize(lockstep.config, lockstep, run.arrays), "record": kept}
 
 
 @contextmanager
@@ -135,19 +195,15 @@ def _ctrl_c_stops(lockstep: Lockstep) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _write(folder: Path, summary: dict[str, Any], lockstep: Lockstep, base: Path) -> None:
-    """`base` is where the config's relative paths start."""
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    (folder / "summary.json").write_text(text, encoding="utf-8")
-    lockstep.record.save(folder / "record.npz")
-    save_config(lockstep.config, base, folder / "config.yaml")
-
-
-def _verdict(summary: dict[str, Any], interrupted: bool) -> ExitCode:
+def _verdict(summary: dict[str, Any], interrupted: bool, record_failure: str) -> ExitCode:
     for violation in summary["limits_violated"]:
         print(f"limit violated: {violation}", file=sys.stderr)
+    if not summary["record"]["complete"]:
+        print(f"the record is incomplete, and so is the summary: {record_failure}", file=sys.stderr)
     if interrupted:
         rest = "was brought to rest" if summary["at_rest_after_end"] else "did NOT come to rest"
         print(f"interrupted; the machine {rest}", file=sys.stderr)
         return ExitCode.INTERRUPTED
+    if not summary["record"]["complete"]:
+        return ExitCode.RECORD
     return ExitCode.LIMIT if summary["limits_violated"] else ExitCode.DONE

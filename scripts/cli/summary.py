@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from headway.cli.versions import versions
 from headway.configs.schema import Config
+from headway.controller.reference import ENTRY_S
 from headway.devices.axis import AxisUnits
 from headway.sim.lockstep import Lockstep
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Array]
 
-ENTRY_S = 0.5  # from rest onto the reference: not judged
 REST_WINDOW_S = 0.05  # at the very end
-REST_SPEED_RAD_PER_S = 5e-3  # mean over the window: a held axis trembles by an encoder count
-REST_MOVE_RAD = 1e-3  # within the window
-PACKAGES = ("headway", "mujoco", "casadi", "osqp", "numpy", "pin")
+# Mean speed over the window [rad/s, m/s]: a held axis trembles by an encoder count.
+REST_SPEED = {"rad": 5e-3, "m": 1e-3}
+REST_MOVE = {"rad": 1e-3, "m": 2e-4}  # within the window [rad, m]
 
 
 def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
     """The summary of a run with at least one tick, ready for JSON.
 
     What cannot be known (of a solver that is off, of a run too short) is None. Lists by axis are
-    in the config's order; lists by state are [q..., v...] in rad and rad/s.
+    in the config's order; lists by state are [q..., v...] in rad and rad/s, on linear axes in m and
+    m/s. "torque" is force there, in N.
     """
     return {
         "config": config.name,
@@ -37,12 +37,12 @@ def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, A
         "rate_hz": 1e6 / config.loop.knot_us,
         "margin_us": config.loop.margin_us,
         "axes": [axis.joint for axis in config.machine.axes],
-        "tracking": _tracking(arrays),
+        "tracking": _tracking(config, arrays),
         "estimate": _estimate(lockstep, arrays),
         "torque": _torque(config, arrays),
-        "compute_us": _percentiles(arrays["compute_us"], p50=50, p99=99, p999=99.9, max=100),
+        "compute_us": _percentiles(arrays["timing_compute_us"], p50=50, p99=99, p999=99.9, max=100),
         "compute_split_us": {
-            step: _percentiles(arrays[f"{step}_us"], p50=50, p99=99)
+            step: _percentiles(arrays[f"timing_{step}_us"], p50=50, p99=99)
             for step in ("estimate", "linearize", "solve", "encode")
         },
         "solver": _solver(lockstep, arrays),
@@ -51,8 +51,7 @@ def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, A
         "at_rest_after_end": _at_rest(lockstep, arrays),
         "limits_violated": _violations(config, arrays),
         "log_sha256": lockstep.record.sha256(),
-        "versions": {"python": platform.python_version()}
-        | {name: importlib.metadata.version(name) for name in PACKAGES},
+        "versions": versions(),
     }
 
 
@@ -92,11 +91,12 @@ def _judged(time_s: Array, arrays: Arrays) -> NDArray[np.bool_]:
     return np.logical_and(time_s >= ENTRY_S, time_s <= end_s)
 
 
-def _tracking(arrays: Arrays) -> dict[str, Any]:
+def _tracking(config: Config, arrays: Arrays) -> dict[str, Any]:
     """The plant's true position against the task's reference."""
     judged = _judged(arrays["truth_s"], arrays)
     error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[judged]
-    return {"rms": _rms(error), "max": _max(error), "unit": ["mrad"] * error.shape[1]}
+    units = [f"m{axis.unit}" for axis in config.machine.axes]
+    return {"rms": _rms(error), "max": _max(error), "unit": units}
 
 
 def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
@@ -121,37 +121,38 @@ def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
 
 
 def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
-    """Torque that the devices ask of their motors [Nm], at 1 kHz, before friction and brakes.
+    """Torque that the devices ask of their motors [Nm or N], at 1 kHz, before friction and brakes.
 
     noise_rms is the part that is faster than the motion: the rms of the second difference divided
     by sqrt(6), which for white noise is its standard deviation (1 + 4 + 1 = 6) while a motion of a
     few Hz leaves next to nothing. clipped_share is how often the limit cut the demand.
     """
-    tq_per_Nm = _tq_per_Nm(config)
-    applied = arrays["servo_torque_tq"] / tq_per_Nm
-    unclipped = arrays["servo_unclipped_tq"] / tq_per_Nm
+    tq_per_effort = _tq_per_effort(config)
+    applied = arrays["servo_torque_tq"] / tq_per_effort
+    unclipped = arrays["servo_unclipped_tq"] / tq_per_effort
     judged = applied[_judged(arrays["truth_s"], arrays)]
     return {
         "max_abs": _max(applied),
         "max_unclipped": _max(unclipped),
         "clipped_share": _numbers(np.mean(applied != unclipped, axis=0)),
-        "limit": [axis.torque_limit_Nm for axis in config.machine.axes],
+        "limit": [axis.effort_limit for axis in config.machine.axes],
         "noise_rms": _rms(np.diff(judged, n=2, axis=0) / np.sqrt(6)),
+        "unit": [axis.effort_unit for axis in config.machine.axes],
     }
 
 
-def _tq_per_Nm(config: Config) -> Array:
-    return np.array([AxisUnits.of(axis, config.loop).tq_per_Nm for axis in config.machine.axes])
+def _tq_per_effort(config: Config) -> Array:
+    return np.array([AxisUnits.of(axis, config.loop).tq_per_effort for axis in config.machine.axes])
 
 
 def _solver(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
     """Plans by what became of them; without MPC the reference's plans are counted."""
-    accepted = int(np.sum(arrays["accepted"]))
+    accepted = int(np.sum(arrays["tick_accepted"]))
     return {
         "ticks": lockstep.ticks,
         "accepted": accepted,
         "rejected": lockstep.ticks - accepted,
-        "iterations_p50": _percentiles(arrays["iterations"], p50=50)["p50"],
+        "iterations_p50": _percentiles(arrays["solver_iterations"], p50=50)["p50"],
     }
 
 
@@ -172,31 +173,35 @@ def _at_rest(lockstep: Lockstep, arrays: Arrays) -> bool:
     window = time_s >= time_s[-1] - REST_WINDOW_S
     mean_velocity = np.mean(arrays["truth_velocity"][window], axis=0)
     moved = np.ptp(arrays["truth_position"][window], axis=0)
-    still = np.abs(mean_velocity) < REST_SPEED_RAD_PER_S
+    axes = lockstep.config.machine.axes
+    still = np.abs(mean_velocity) < [REST_SPEED[axis.unit] for axis in axes]
+    there = moved < [REST_MOVE[axis.unit] for axis in axes]
     holding = all(state == "HOLD" for state in lockstep.device_states())
-    return bool(holding and np.all(still) and np.all(moved < REST_MOVE_RAD))
+    return bool(holding and np.all(still) and np.all(there))
 
 
 def _violations(config: Config, arrays: Arrays) -> list[str]:
     """The limits that the plant or a device went beyond at any time, by axis, in words."""
     violations = []
-    for i, (axis, tq_per_Nm) in enumerate(
-        zip(config.machine.axes, _tq_per_Nm(config), strict=True)
+    for i, (axis, tq_per_effort) in enumerate(
+        zip(config.machine.axes, _tq_per_effort(config), strict=True)
     ):
-        position = arrays["truth_position"][:, i]
+        position, unit = arrays["truth_position"][:, i], axis.unit
+        low, high = np.min(position), np.max(position)
         speed = np.max(np.abs(arrays["truth_velocity"][:, i]))
         torque_tq = np.max(np.abs(arrays["servo_torque_tq"][:, i]))
-        low, high = axis.position_min_rad, axis.position_max_rad
-        if np.min(position) < low:
-            violations.append(f"{axis.joint}: position {np.min(position):.6g} rad below {low:g}")
-        if np.max(position) > high:
-            violations.append(f"{axis.joint}: position {np.max(position):.6g} rad above {high:g}")
-        if speed > axis.velocity_limit_rad_per_s:
-            limit = axis.velocity_limit_rad_per_s
-            violations.append(f"{axis.joint}: velocity {speed:.6g} rad/s above {limit:g}")
-        if torque_tq > round(axis.torque_limit_Nm * tq_per_Nm):  # as the device has it
-            limit = axis.torque_limit_Nm
-            violations.append(
-                f"{axis.joint}: torque {torque_tq / tq_per_Nm:.6g} Nm above {limit:g}"
+        beyond = []
+        if low < axis.position_min:
+            beyond.append(f"position {low:.6g} {unit} below {axis.position_min:g}")
+        if high > axis.position_max:
+            beyond.append(f"position {high:.6g} {unit} above {axis.position_max:g}")
+        if speed > axis.velocity_limit:
+            beyond.append(f"velocity {speed:.6g} {unit}/s above {axis.velocity_limit:g}")
+        if torque_tq > round(axis.effort_limit * tq_per_effort):  # as the device has it
+            what = "torque" if unit == "rad" else "force"
+            beyond.append(
+                f"{what} {torque_tq / tq_per_effort:.6g} {axis.effort_unit} above "
+                f"{axis.effort_limit:g}"
             )
+        violations += [f"{axis.joint}: {text}" for text in beyond]
     return violations

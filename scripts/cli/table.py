@@ -19,20 +19,32 @@ def summary_table(summary: dict[str, Any]) -> Group:
         f"margin {summary['margin_us'] / 1000:g} ms, seed {summary['seed']}"
     )
     table = Table("", *(escape(axis) for axis in axes))
-    n = len(axes)
-    rows = {
-        "tracking error, rms [mrad]": tracking["rms"],
-        "tracking error, max [mrad]": tracking["max"],
-        "estimate at now, rms [mrad]": _milli(estimate["rms_now"][:n]),
-        "estimate at commit, rms [mrad]": _milli(estimate["rms_commit"][:n]),
-        "torque, max [Nm]": torque["max_abs"],
-        "torque limit [Nm]": torque["limit"],
-        "torque noise, rms [Nm]": torque["noise_rms"],
-        "torque clipped [%]": [100 * share for share in torque["clipped_share"]],
-    }
-    for name, values in rows.items():
-        table.add_row(escape(name), *(_text(value) for value in values))
+    n, length, effort = len(axes), tracking["unit"], torque["unit"]
+    rows = (
+        ("tracking error, rms", length, tracking["rms"]),
+        ("tracking error, max", length, tracking["max"]),
+        ("estimate at now, rms", length, _milli(estimate["rms_now"][:n])),
+        ("estimate at commit, rms", length, _milli(estimate["rms_commit"][:n])),
+        (f"{_effort(effort)}, max", effort, torque["max_abs"]),
+        (f"{_effort(effort)} limit", effort, torque["limit"]),
+        (f"{_effort(effort)} noise, rms", effort, torque["noise_rms"]),
+        (f"{_effort(effort)} clipped", ["%"], [100 * s for s in torque["clipped_share"]]),
+    )
+    for name, units, values in rows:
+        table.add_row(*_row(name, units, values))
     return Group(Text(heading), table, Text(_whole_run(summary)))
+
+
+def _effort(units: list[str]) -> str:
+    words = {"Nm": "torque", "N": "force"}
+    return " or ".join(words[unit] for unit in dict.fromkeys(units))
+
+
+def _row(name: str, units: list[str], values: list[float | None]) -> list[str]:
+    """The unit stands beside the name, or where axes differ, beside each value."""
+    if len(set(units)) == 1:
+        return [escape(f"{name} [{units[0]}]"), *(_text(value) for value in values)]
+    return [name, *(f"{_text(value)} {unit}" for value, unit in zip(values, units, strict=True))]
 
 
 def _whole_run(summary: dict[str, Any]) -> str:

@@ -1,0 +1,248 @@
+"""One joint of the machine, rotary or linear: its keys say which.
+
+Both kinds have the same attributes, in SI at the joint: positions in `unit` (rad or m), times in
+seconds, efforts in `effort_unit` (Nm or N; effort is the word for torque and force alike).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Self
+
+from pydantic import Field, WrapValidator, model_validator
+
+from headway.configs.section import Finite, NotNegative, Positive, Section
+
+
+class Motor(Section):
+    """A geared brushed DC motor that turns a joint, as the device's settings have it."""
+
+    gear: Positive
+    """Turns of the motor per turn of the joint."""
+    torque_constant_Nm_per_A: Positive
+    """Of the motor, before the gear."""
+    resistance_ohm: Positive
+    """Of the winding."""
+    supply_V: Positive
+    """What the bridge has at full duty."""
+
+    @property
+    def constant(self) -> float:
+        """Effort at the joint per current, and voltage per speed of the joint: SI."""
+        return self.gear * self.torque_constant_Nm_per_A
+
+    @property
+    def damping(self) -> float:
+        """What the back-EMF brakes with, effort per speed of the joint: SI."""
+        return self.constant**2 / self.resistance_ohm
+
+
+class LinearMotor(Motor):
+    """A motor that shifts a joint, by a screw or a belt."""
+
+    gear: Positive = Field(alias="gear_rad_per_m")
+    """Angle of the motor per way of the joint."""
+
+
+class RotaryServo(Section):
+    """The device's PID, at a rotary joint."""
+
+    kp: NotNegative = Field(alias="kp_Nm_per_rad")
+    """Proportional gain, on the following error."""
+    ki: NotNegative = Field(default=0.0, alias="ki_Nm_per_rad_s")
+    """Integral gain."""
+    kd: NotNegative = Field(alias="kd_Nm_s_per_rad")
+    """Derivative gain, on the change of the following error."""
+
+
+class LinearServo(Section):
+    """The device's PID, at a linear joint."""
+
+    kp: NotNegative = Field(alias="kp_N_per_m")
+    """Proportional gain, on the following error."""
+    ki: NotNegative = Field(default=0.0, alias="ki_N_per_m_s")
+    """Integral gain."""
+    kd: NotNegative = Field(alias="kd_N_s_per_m")
+    """Derivative gain, on the change of the following error."""
+
+
+class _Axis(Section):
+    joint: str
+    """The joint's name in the model."""
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        axis: Any = self
+        low, high = axis.position_min, axis.position_max
+        if low >= high:
+            raise ValueError(f"{self.key('position_min')} must be below {self.key('position_max')}")
+        soft_low = low if axis.soft_min is None else axis.soft_min
+        soft_high = high if axis.soft_max is None else axis.soft_max
+        if not low <= soft_low < soft_high <= high:
+            raise ValueError(
+                f"{self.key('soft_min')} must be below {self.key('soft_max')}, and both within "
+                f"{self.key('position_min')} and {self.key('position_max')}"
+            )
+        return self
+
+
+class RotaryAxis(_Axis):
+    """A hinge with its motor, encoder and board."""
+
+    counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
+    """Encoder counts per turn of the joint."""
+    position_min: Finite = Field(alias="position_min_rad")
+    """The lowest position that any plan may have."""
+    position_max: Finite = Field(alias="position_max_rad")
+    """The highest."""
+    soft_min: Finite | None = Field(default=None, alias="soft_min_rad")
+    """Plans keep above it where they can."""
+    soft_max: Finite | None = Field(default=None, alias="soft_max_rad")
+    """Plans keep below it where they can."""
+    velocity_limit: Positive = Field(alias="velocity_limit_rad_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_rad_per_s2")
+    """Of a plan, in either direction."""
+    effort_limit: Positive = Field(alias="torque_limit_Nm")
+    """The most that the servo asks of the motor, at the joint."""
+    coulomb: NotNegative = Field(default=0.0, alias="coulomb_Nm")
+    """Dry friction that the controller knows of."""
+    motor: Motor
+    """The motor that moves it."""
+    servo: RotaryServo
+    """The gains of the board's servo."""
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    @property
+    def effort_unit(self) -> str:
+        return "Nm"
+
+    @property
+    def counts_per_unit(self) -> float:
+        """Encoder counts per radian."""
+        return self.counts_per_turn / (2 * math.pi)
+
+
+class LinearAxis(_Axis):
+    """A slide with its motor, encoder and board."""
+
+    counts_per_m: Annotated[float, Field(ge=16, le=1e10)]
+    """Encoder counts per metre of the joint's way."""
+    position_min: Finite = Field(alias="position_min_m")
+    """The lowest position that any plan may have."""
+    position_max: Finite = Field(alias="position_max_m")
+    """The highest."""
+    soft_min: Finite | None = Field(default=None, alias="soft_min_m")
+    """Plans keep above it where they can."""
+    soft_max: Finite | None = Field(default=None, alias="soft_max_m")
+    """Plans keep below it where they can."""
+    velocity_limit: Positive = Field(alias="velocity_limit_m_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_m_per_s2")
+    """Of a plan, in either direction."""
+    effort_limit: Positive = Field(alias="force_limit_N")
+    """The most that the servo asks of the motor, at the joint."""
+    coulomb: NotNegative = Field(default=0.0, alias="coulomb_N")
+    """Dry friction that the controller knows of."""
+    motor: LinearMotor
+    """The motor that moves it."""
+    servo: LinearServo
+    """The gains of the board's servo."""
+
+    @property
+    def unit(self) -> str:
+        return "m"
+
+    @property
+    def effort_unit(self) -> str:
+        return "N"
+
+    @property
+    def counts_per_unit(self) -> float:
+        """Encoder counts per metre."""
+        return self.counts_per_m
+
+
+class RotarySine(Section):
+    """offset + amplitude sin(2 pi harmonic frequency t + phase), on a rotary axis."""
+
+    offset: Finite = Field(default=0.0, alias="offset_rad")
+    """The middle."""
+    amplitude: Finite = Field(alias="amplitude_rad")
+    """How far it goes to either side."""
+    harmonic: Positive = 1.0
+    """Times the task's frequency."""
+    phase_rad: Finite = 0.0
+    """At the start of the task."""
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    @property
+    def start(self) -> float:
+        """Where it is at t = 0."""
+        return self.offset + self.amplitude * math.sin(self.phase_rad)
+
+
+class LinearSine(RotarySine):
+    """The same on a linear axis."""
+
+    offset: Finite = Field(default=0.0, alias="offset_m")
+    """The middle."""
+    amplitude: Finite = Field(alias="amplitude_m")
+    """How far it goes to either side."""
+
+    @property
+    def unit(self) -> str:
+        return "m"
+
+
+def _keys(section: type[Section]) -> set[str]:
+    """All keys of a section, those of sections in it with dots."""
+    keys = set[str]()
+    for name, field in section.model_fields.items():
+        key = section.key(name)
+        keys.add(key)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+            keys |= {f"{key}.{inner}" for inner in _keys(field.annotation)}
+    return keys
+
+
+def _given(tree: dict[Any, Any]) -> set[str]:
+    """All keys that are given, those within mappings with dots."""
+    keys = {str(key) for key in tree}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            keys |= {f"{key}.{inner}" for inner in _given(value)}
+    return keys
+
+
+def _either(rotary: type[Section], linear: type[Section]) -> WrapValidator:
+    """Reads a mapping as the kind whose keys it has: linear if there is any of that kind alone.
+
+    A union with pydantic's own discriminator would put the kind's name into the place of every
+    mistake, where the file has no such key.
+    """
+    of_rotary, of_linear = _keys(rotary) - _keys(linear), _keys(linear) - _keys(rotary)
+
+    def read(value: Any, _: object) -> Section:
+        if isinstance(value, rotary | linear):
+            return value
+        given = _given(value) if isinstance(value, dict) else set[str]()
+        turning, sliding = sorted(given & of_rotary), sorted(given & of_linear)
+        if turning and sliding:
+            raise ValueError(
+                f"{turning[0]} is a key of rotary axes and {sliding[0]} of linear ones: "
+                "use the keys of one kind"
+            )
+        return (linear if sliding else rotary).model_validate(value)
+
+    return WrapValidator(read)
+
+
+Axis = Annotated[RotaryAxis | LinearAxis, _either(RotaryAxis, LinearAxis)]
+Sine = Annotated[RotarySine | LinearSine, _either(RotarySine, LinearSine)]

@@ -1,0 +1,56 @@
+"""What one tick of the loop decides, and what there is to tell of it."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.controller.estimator import Estimate
+from headway.controller.mpc import Motion, Solution
+from headway.devices.remote import Points
+
+Array = NDArray[np.float64]
+
+
+class DeviceError(Exception):
+    """A device does not answer or does not do what it should."""
+
+
+class Phase(enum.IntEnum):
+    """Where the loop is."""
+
+    SYNC = 0  # stamps only, until every clock has settled
+    START = 1  # a plan that holds still is under way
+    RUN = 2
+
+
+@dataclass
+class Outbox:
+    """What a tick decided to send: stamps alone, or a plan until it is too late for it."""
+
+    first_knot: int = 0
+    points: list[Points] | None = None
+    too_late_us: int = 2**62  # from then on its first new point is live
+
+
+@dataclass
+class Tick:
+    """A tick's results, for the record. Times by the wall clock are only measured, never used."""
+
+    now_us: int
+    phase: Phase
+    samples: int = 0
+    now: Estimate | None = None
+    commit: Estimate | None = None
+    solution: Solution | None = None
+    accepted: bool = False
+    motion: Motion | None = None  # the encoded plan's roll-out
+    encoding_error: Array | None = None  # largest |encoded - planned torque|, 3 free knots on
+    planned_torque: Array | None = None  # largest |torque| rolled out, past the committed points
+    states: list[int] = field(default_factory=list)
+    estimate_us: float = 0.0
+    encode_us: float = 0.0
+    total_us: float = 0.0

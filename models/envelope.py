@@ -1,0 +1,71 @@
+"""What a joint has to move and to hold: inertias and static load over the machine's range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from headway.models.machine import Machine
+
+Array = NDArray[np.float64]
+
+SAMPLES, SAMPLES_OF_MANY = 4096, 1024  # configurations, spread evenly over the range
+MANY = 8  # joints
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """By joint, over all sampled configurations; SI."""
+
+    inertia_max: Array  # with all other joints locked: the mass matrix' diagonal
+    inertia_min: Array  # with all other joints free: one over the inverse's diagonal
+    holding_max: Array  # magnitude of gravity's effort
+    mobility: Array  # the sampled mass matrices' inverses (m, n, n)
+    gravity_stiffness: Array  # gravity's effort by position (m, n, n): negative where it topples
+
+    def fastest(self, damping: Array) -> tuple[float, Array]:
+        """Largest decay rate [1/s] of the joints together under viscous damping (n,), and by joint
+        the share that its damping has in it."""
+        root = np.sqrt(damping)
+        rates, modes = np.linalg.eigh(root[:, None] * self.mobility * root)
+        pose = int(rates[:, -1].argmax())
+        return float(rates[pose, -1]), modes[pose, :, -1] ** 2
+
+    def toppling(self, stiffness: Array) -> tuple[float, Array]:
+        """Share of the joints' stiffness (n,) that gravity takes in the worst pose, where one would
+        be all of it, and by joint its part in that."""
+        root = 1 / np.sqrt(stiffness)
+        shares, modes = np.linalg.eigh(-root[:, None] * self.gravity_stiffness * root)
+        pose = int(shares[:, -1].argmax())
+        return float(shares[pose, -1]), modes[pose, :, -1] ** 2
+
+
+def envelope(machine: Machine, low: Array, high: Array) -> Envelope:
+    """Samples the range (n,) to (n,) with a Sobol sequence, its corners and its middle."""
+    model = machine.model
+    data, n = model.createData(), model.nv
+    count = SAMPLES if n <= MANY else SAMPLES_OF_MANY
+    shares = qmc.Sobol(n, rng=np.random.default_rng(0)).random(count)
+    corners = np.array(np.meshgrid(*[(0.0, 0.5, 1.0)] * min(n, 6))).reshape(min(n, 6), -1).T
+    padded = np.full((len(corners), n), 0.5)
+    padded[:, : corners.shape[1]] = corners
+    mass, holding, stiffness = [], [], []
+    for share in np.vstack((shares, padded)):
+        q = low + share * (high - low)
+        upper = pin.crba(model, data, q)
+        mass.append(np.triu(upper) + np.triu(upper, 1).T)
+        holding.append(np.abs(pin.computeGeneralizedGravity(model, data, q)))
+        stiffness.append(pin.computeGeneralizedGravityDerivatives(model, data, q).copy())
+    matrices = np.array(mass)
+    mobility = np.linalg.inv(matrices)
+    return Envelope(
+        np.diagonal(matrices, axis1=1, axis2=2).max(axis=0),
+        (1 / np.diagonal(mobility, axis1=1, axis2=2)).min(axis=0),
+        np.max(holding, axis=0),
+        mobility,
+        np.array(stiffness),
+    )

@@ -1,0 +1,42 @@
+"""A machine's file, MJCF or URDF, as MuJoCo reads it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+
+OPEN = 1e9  # rad or m: where a URDF's limits are of no width, as exporters write them
+
+
+def is_urdf(path: Path) -> bool:
+    """By the file's name: MJCF ends in .xml, URDF in .urdf."""
+    return path.suffix.lower() == ".urdf"
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """Reads a file for MuJoCo; `compile()` makes a model of it.
+
+    Of a URDF's shapes only boxes, spheres and cylinders remain, for contacts. Meshes are left out:
+    motion needs the links' inertias alone, and mesh files are often elsewhere (package://) or in
+    formats that MuJoCo does not read. Limits of no width are opened. Raises ValueError for a file
+    that cannot be read.
+    """
+    if not is_urdf(path):
+        return mujoco.MjSpec.from_file(str(path))
+    try:
+        robot = ET.parse(path).getroot()
+    except ET.ParseError as error:
+        raise ValueError(f"XML: {error}") from error
+    for link in robot.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        for collision in link.findall("collision"):
+            if collision.find("geometry/mesh") is not None:
+                link.remove(collision)
+    for limit in robot.iter("limit"):
+        if float(limit.get("lower", "0")) >= float(limit.get("upper", "0")):
+            limit.set("lower", str(-OPEN))  # MuJoCo would warn, in a file of its own
+            limit.set("upper", str(OPEN))
+    return mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))

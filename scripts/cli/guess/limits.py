@@ -1,0 +1,69 @@
+"""How strong, how fast and how hard an axis may be driven."""
+
+from __future__ import annotations
+
+import math
+
+from headway.cli.guess.axes import BELIEVED, BUILT_FOR, AxisGuess
+from headway.controller.equations import COULOMB_SPEED
+
+HOLDING = 3.0  # times the static load
+STALL_SHARE, SUPPLY_SHARE = 0.5, 0.85  # of a given motor's stall effort and supply
+SPEED_BELIEVED = 4.0  # times what the effort reaches over the range
+# Of known friction near rest, at the least inertia [1/s]: what a step of two knots can follow.
+COULOMB_RATE_MAX = 150.0
+
+
+def guess_limits(axis: AxisGuess, most: float, least: float, load: float) -> None:
+    """`most`, `least`: inertia that the joint moves; `load`: static effort at most."""
+    load += axis.joint.coulomb
+    _effort(axis, most, load)
+    _speed(axis, most, load)
+    acceleration = 1.5 * axis["effort_limit"] / least
+    axis.guess("acceleration_limit", acceleration, "1.5 times what the effort makes at most")
+    _coulomb(axis, least)
+
+
+def _effort(axis: AxisGuess, most: float, load: float) -> None:
+    stated, unit, board = axis.joint.effort, axis.unit, axis.joint.board
+    believed = HOLDING * load + BELIEVED[unit] * most
+    if stated is not None and stated <= believed:
+        axis.state("effort_limit", stated)
+    elif stated is not None:
+        why = f"the model has {stated:g}, for an inertia of only {most:.2g}"
+        axis.guess("effort_limit", believed, why)
+    else:
+        built_for = BUILT_FOR[unit]
+        effort = HOLDING * load + built_for * most
+        if board is not None:
+            stall = board.gear * board.torque_constant_Nm_per_A * board.supply_V
+            effort = min(effort, STALL_SHARE * stall / board.resistance_ohm)
+        why = f"holds {HOLDING:g} times its load and gives {built_for:g} {unit}/s^2"
+        axis.guess("effort_limit", effort, why)
+
+
+def _speed(axis: AxisGuess, most: float, load: float) -> None:
+    stated, effort, board = axis.joint.velocity, axis["effort_limit"], axis.joint.board
+    spare = max(effort - load, 0.2 * effort)
+    room = axis["position_max"] - axis["position_min"]
+    reached = 0.5 * math.sqrt(spare / most * room)
+    why = "half of what the effort reaches over the range"
+    if board is not None:
+        constant = board.gear * board.torque_constant_Nm_per_A
+        rest_V = SUPPLY_SHARE * board.supply_V - board.resistance_ohm * effort / constant
+        reached = min(reached, rest_V / constant)
+    if stated is None:
+        axis.guess("velocity_limit", reached, why)
+    elif stated > SPEED_BELIEVED * reached:
+        axis.guess("velocity_limit", reached, f"{why}; the model has {stated:g}")
+    else:
+        axis.state("velocity_limit", stated)
+
+
+def _coulomb(axis: AxisGuess, least: float) -> None:
+    stated, predictable = axis.joint.coulomb, COULOMB_RATE_MAX * COULOMB_SPEED * least
+    if stated > predictable:
+        why = f"the model has {stated:g}: too stiff to predict, for its inertia"
+        axis.guess("coulomb", predictable, why)
+    elif stated:
+        axis.state("coulomb", stated)

@@ -1,0 +1,195 @@
+"""Rules of the task: whether the machine can do what is asked of it, and stop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
+from headway.cli.rules.subject import Subject
+from headway.controller.ocp import HULL_SHARE, Limits
+
+EFFORT_SHARE = 0.85  # of the limit; what is left corrects what the model does not know
+STOP_SHARE = 0.6  # of the horizon: shorter ones cost tracking (docs/performance.md)
+# The plan gives way to a reference that asks for more than there is; beyond this it is a mistake.
+EFFORT_FAIL = 1.5
+CONTACT_POSES = 500  # along the task
+
+
+def task_rules(subject: Subject) -> Iterator[Rule]:
+    """All of them."""
+    yield _range(subject)
+    yield _model_range(subject)
+    yield _contacts(subject)
+    yield from _hull(subject)
+    yield _effort(subject)
+    yield _holding_start(subject)
+    yield _holding(subject)
+    yield _stop_from_limit(subject)
+    yield _stop_from_task(subject)
+
+
+def _range(subject: Subject) -> Rule:
+    """Start and task inside the range; beyond the room that plans keep to it they are cut."""
+    limits, rules = Limits.of(subject.config), []
+    for i, axis in enumerate(subject.axes):
+        points = np.append(subject.motion.position[:, i], subject.start[i])
+        low, high = float(limits.soft_min[i]), float(limits.soft_max[i])
+        rules.append(
+            at_least(
+                "task: room to the position limits",
+                float(min(points.min() - axis.position_min, axis.position_max - points.max())),
+                max(low - axis.position_min, axis.position_max - high),
+                axis.unit,
+                f"{axis.joint} goes from {points.min():.4g} to {points.max():.4g} {axis.unit}; "
+                f"plans keep to {low:.4g} to {high:.4g}: change task.axes.{i}, "
+                f"sim.start_rad_or_m.{i} or the limits",
+                axis.joint,
+                fail=0.0,
+            )
+        )
+    return worst(rules)
+
+
+def _model_range(subject: Subject) -> Rule:
+    """The config's range is not wider than the model's."""
+    rules = []
+    for axis, joint in zip(subject.axes, subject.joints, strict=True):
+        if joint.position is None:
+            continue
+        low, high = joint.position
+        beyond = max(low - axis.position_min, axis.position_max - high)
+        remedy = (
+            f"the model's joint ends at {low:.6g} and {high:.6g} {axis.unit}: keep "
+            f"{axis.key('position_min')} and {axis.key('position_max')} of {axis.joint} within"
+        )
+        tolerance = 1e-6 * (high - low)  # what is written with few digits
+        name = "range: beyond the model's"
+        rules.append(at_most(name, beyond, tolerance, axis.unit, remedy, axis.joint))
+    return worst(rules) if rules else Rule("range: beyond the model's", Status.OK)
+
+
+def _contacts(subject: Subject) -> Rule:
+    """No two bodies meet on the way; the controller does not know of contacts."""
+    motion = subject.motion
+    step = max(1, len(motion.time_s) // CONTACT_POSES)
+    met = subject.touching(motion.position[::step])
+    where = [f"{pair} at {motion.time_s[row * step]:.3g} s" for pair, row in met.items()]
+    name = "task: bodies that touch on the way"
+    return at_most(name, len(met), 0, "pairs", f"{'; '.join(where)}: change task.axes")
+
+
+def _hull(subject: Subject) -> Iterator[Rule]:
+    """Speed and acceleration of the task's control points, which the gate bounds."""
+    h = subject.config.loop.knot_us * 1e-6
+    extra = 8  # knots on either side, where the spline's ends show
+    count = int(subject.motion.time_s[-1] / h) + 2 * extra
+    knots = np.arange(count, dtype=np.float64) - extra
+    points = make_interp_spline(knots, subject.reference.at(knots * h)[0], k=3).c[extra:-extra]
+    speed = np.abs(np.diff(points, axis=0)).max(axis=0) / h
+    acceleration = np.abs(np.diff(points, n=2, axis=0)).max(axis=0) / h**2
+    for what, per, values, key in (
+        ("speed", "s", speed, "velocity_limit"),
+        ("acceleration", "s^2", acceleration, "acceleration_limit"),
+    ):
+        yield worst(
+            at_most(
+                f"task: {what} at the gate",
+                float(values[i]),
+                getattr(axis, key),
+                f"{axis.unit}/{per}",
+                f"a plan may use {HULL_SHARE:g} of {axis.key(key)}: raise it, or lower "
+                f"task.frequency_Hz or the amplitude in task.axes.{i}",
+                axis.joint,
+                warn=HULL_SHARE,
+            )
+            for i, axis in enumerate(subject.axes)
+        )
+
+
+def _effort(subject: Subject) -> Rule:
+    """Inverse dynamics along the task."""
+    peak = np.abs(subject.motion.effort).max(axis=0)
+    return worst(
+        at_most(
+            "task: effort along it",
+            float(peak[i]),
+            axis.effort_limit,
+            axis.effort_unit,
+            f"more than {EFFORT_SHARE:g} of {axis.key('effort_limit')}: the plan gives way where "
+            "there is not enough; raise it, or lower task.frequency_Hz",
+            axis.joint,
+            warn=EFFORT_SHARE,
+            fail=EFFORT_FAIL,
+        )
+        for i, axis in enumerate(subject.axes)
+    )
+
+
+def _holding_start(subject: Subject) -> Rule:
+    """Gravity where the task starts; what cannot be held there falls when the brakes let go."""
+    still = np.zeros((1, len(subject.axes)))
+    load = np.abs(subject.effort(subject.start[None], still, still)[0])
+    return worst(
+        at_most(
+            "start: effort to hold it",
+            float(load[i]),
+            axis.effort_limit,
+            axis.effort_unit,
+            f"raise {axis.key('effort_limit')}, or start where {axis.joint} carries less",
+            axis.joint,
+            warn=EFFORT_SHARE,
+        )
+        for i, axis in enumerate(subject.axes)
+    )
+
+
+def _holding(subject: Subject) -> Rule:
+    """Gravity anywhere in the range: a warning, since the task may stay where it can be held."""
+    load = subject.envelope.holding_max
+    return worst(
+        at_most(
+            "range: effort to hold any pose",
+            float(load[i]),
+            axis.effort_limit,
+            axis.effort_unit,
+            f"{axis.joint} cannot be held everywhere: raise {axis.key('effort_limit')}, or keep "
+            "away from such poses by soft limits",
+            axis.joint,
+            warn=EFFORT_SHARE,
+            fail=np.inf,
+        )
+        for i, axis in enumerate(subject.axes)
+    )
+
+
+def _stop_from_limit(subject: Subject) -> Rule:
+    """From the speed limit at the plan's acceleration limit."""
+    horizon_s = subject.config.mpc.horizon_us * 1e-6
+    return worst(
+        at_most(
+            "horizon: to stop from the speed limit",
+            axis.velocity_limit / (HULL_SHARE * axis.acceleration_limit),
+            horizon_s,
+            "s",
+            f"lengthen mpc.horizon_us, or lower {axis.key('velocity_limit')} or raise "
+            f"{axis.key('acceleration_limit')} of {axis.joint}",
+            axis.joint,
+        )
+        for axis in subject.axes
+    )
+
+
+def _stop_from_task(subject: Subject) -> Rule:
+    """From the task's motion, within the effort limits and against gravity."""
+    return at_most(
+        "horizon: to stop from the task",
+        subject.stop_s(),
+        subject.config.mpc.horizon_us * 1e-6,
+        "s",
+        "lengthen mpc.horizon_us (and mpc.intervals), lower task.frequency_Hz, or raise the "
+        "effort limits",
+        warn=STOP_SHARE,
+    )

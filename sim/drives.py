@@ -1,0 +1,124 @@
+"""A machine's model with our boards on its joints: what the plant steps.
+
+A model that was made for this simulator has an actuator of the plugin headway.servo on each joint,
+whose `user` array is the true motor; it is used as it is. Any other MJCF or URDF is prepared: its
+own actuators, sensors and keyframes are taken out (they would fight with the boards or refer to
+what is gone), each axis of the config gets a board with the config's motor and encoder, and the
+solver is set to what the firmware needs. Its contacts stay, but bodies that touch each other where
+the task starts never collide: shapes often overlap at the joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+
+from headway.configs.axis import Axis
+from headway.configs.schema import Machine
+from headway.models.source import read_spec
+from headway.models.stated import PLUGIN
+from headway.sim.plugin import load_plugin
+
+STEP_MAX_US, STEP_MIN_US = 250, 50  # of physics
+BRAKE_SHARE = 1.5  # of the effort limit that the brake holds
+# The brake is a stiff spring with a damper of BRAKE_DAMPING times its strength (plugin.c), stepped
+# explicitly: strength * BRAKE_DAMPING * step / inertia may not come near 2. A quarter of that
+# leaves room for poses in which the inertia is less than in the model's own.
+BRAKE_DAMPING, BRAKE_STABLE = 4.0, 0.5
+
+
+def driven_model(
+    path: Path, machine: Machine, servo_period_us: int, start: Sequence[float]
+) -> mujoco.MjModel:
+    """The model with a board on every axis.
+
+    `start`: positions of the axes where the task starts [rad or m]. Raises ValueError where model
+    and config do not fit together.
+    """
+    load_plugin()
+    try:
+        spec = read_spec(path)
+        bare = spec.compile()
+        joints = [bare.joint(j).name for j in range(bare.njnt)]
+        for axis in machine.axes:
+            if axis.joint not in joints:
+                raise ValueError(
+                    f"there is no joint {axis.joint}; the model's joints are {', '.join(joints)}"
+                )
+            slides = bare.joint(axis.joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+            if slides != (axis.unit == "m"):
+                kind, keys = ("slides", "linear") if slides else ("turns", "rotary")
+                raise ValueError(f"joint {axis.joint} {kind}: use the keys of a {keys} axis")
+        on_board = {a.target for a in spec.actuators if a.plugin.plugin_name == PLUGIN}
+        missing = [axis for axis in machine.axes if axis.joint not in on_board]
+        if not missing:
+            return bare
+        _strip(spec)
+        spec.option.timestep = _step_us(servo_period_us) * 1e-6
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0 errs with a sparse one
+        spec.nuser_actuator = 6
+        spec.activate_plugin(PLUGIN)
+        for axis in missing:
+            joint = bare.joint(axis.joint)
+            spec.joint(axis.joint).actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            _add_board(spec, axis, float(bare.dof_invweight0[joint.dofadr[0]]))
+        model = spec.compile()
+        for first, second in _touching(model, machine, start):
+            spec.add_exclude(bodyname1=first, bodyname2=second)
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+    others = [a for a in spec.actuators if a.plugin.plugin_name != PLUGIN]
+    for element in (*others, *spec.sensors, *spec.keys, *spec.tuples):
+        spec.delete(element)
+
+
+def _step_us(servo_period_us: int) -> int:
+    """The largest step that divides the servo period, so that no period is longer than another."""
+    for step_us in range(STEP_MAX_US, STEP_MIN_US - 1, -1):
+        if servo_period_us % step_us == 0:
+            return step_us
+    raise ValueError(
+        f"device.servo_period_us is {servo_period_us}: to be simulated it must be a multiple of "
+        f"some {STEP_MIN_US} to {STEP_MAX_US} us"
+    )
+
+
+def _add_board(spec: mujoco.MjSpec, axis: Axis, mobility: float) -> None:
+    """`mobility`: acceleration per effort of the joint, in the model's own pose."""
+    stable = BRAKE_STABLE / (BRAKE_DAMPING * spec.option.timestep * mobility)
+    motor = axis.motor
+    actuator = spec.add_actuator(
+        name=f"board of {axis.joint}",
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=axis.joint,
+        userdata=[
+            axis.counts_per_unit,
+            motor.gear,
+            motor.torque_constant_Nm_per_A,
+            motor.resistance_ohm,
+            motor.supply_V,
+            min(BRAKE_SHARE * axis.effort_limit, stable),
+        ],
+    )
+    plugin = spec.add_plugin(name=f"board of {axis.joint}", plugin_name=PLUGIN)
+    plugin.active = True
+    actuator.plugin = plugin
+
+
+def _touching(
+    model: mujoco.MjModel, machine: Machine, start: Sequence[float]
+) -> set[tuple[str, str]]:
+    """Pairs of bodies that touch where the task starts."""
+    data = mujoco.MjData(model)
+    for axis, position in zip(machine.axes, start, strict=True):
+        data.joint(axis.joint).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    geoms = [sorted(model.geom_bodyid[list(contact.geom)].tolist()) for contact in data.contact]
+    return {(model.body(first).name, model.body(second).name) for first, second in geoms}
