@@ -53,14 +53,14 @@ def envelope(machine: Machine, low: Array, high: Array) -> Envelope:
     corners = np.array(np.meshgrid(*[(0.0, 0.5, 1.0)] * min(n, 6))).reshape(min(n, 6), -1).T
     padded = np.full((len(corners), n), 0.5)
     padded[:, : corners.shape[1]] = corners
-    mass, holding, stiffness = [], [], []
+    upper, holding, stiffness = [], [], []
     for share in np.vstack((shares, padded)):
         q = low + share * (high - low)
-        upper = pin.crba(model, data, q)
-        mass.append(np.triu(upper) + np.triu(upper, 1).T)
+        upper.append(np.array(pin.crba(model, data, q)))
         holding.append(np.abs(pin.computeGeneralizedGravity(model, data, q)))
-        stiffness.append(pin.computeGeneralizedGravityDerivatives(model, data, q).copy())
-    matrices = np.array(mass)
+        stiffness.append(np.array(pin.computeGeneralizedGravityDerivatives(model, data, q)))
+    half = np.triu(upper)
+    matrices = half + np.triu(half, 1).swapaxes(1, 2)
     mobility = np.linalg.inv(matrices)
     return Envelope(
         np.diagonal(matrices, axis1=1, axis2=2).max(axis=0),

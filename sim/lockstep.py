@@ -146,7 +146,7 @@ class Lockstep:
         if stall is not None and stall <= task_s < stall + self.config.loop.knot_us * 1e-6:
             compute_us += round(sim.stall_host_s * 1e6)
         self.loop.read(self.link, now_us)
-        self._corrupt(self.loop.samples)
+        self._corrupt(self.loop.samples, now_us)
         tick, outbox = self.loop.tick(now_us)
         sent_us = self._busy_until_us = now_us + compute_us
         if running and self.task_s(sent_us) >= kill_s:  # it died at work
@@ -159,7 +159,7 @@ class Lockstep:
         note_tick(self.record, tick, sent_us, in_time)
         self.record.await_room()
 
-    def _corrupt(self, samples: list[Sample]) -> None:
+    def _corrupt(self, samples: list[Sample], now_us: int) -> None:
         share = self.config.sim.outlier_share
         if share == 0:
             return
@@ -167,7 +167,7 @@ class Lockstep:
             if self._outlier_rng.random() < share:
                 position = sample.position + self._outlier_rng.uniform(-1, 1)
                 samples[i] = Sample(sample.time_us, sample.axis, position)
-                self.record.add(("outlier", sample.time_us, (sample.axis, position)))
+                self.record.add(("outlier", now_us, (i, sample.time_us, sample.axis, position)))
 
     def _advance_to(self, true_us: int) -> None:
         """Steps the plant to the first step at or after `true_us`, noting the truth each ms."""

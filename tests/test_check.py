@@ -1,4 +1,4 @@
-"""headway check: each rule is broken by a config that breaks it alone, and kept by what is shipped."""
+"""headway check: for each rule a config that breaks it alone; what is shipped breaks none."""
 
 import json
 import subprocess
@@ -38,6 +38,7 @@ def rules_of(config: Path, *overrides: str) -> list[Rule]:
 
 
 def not_ok(rules: list[Rule]) -> dict[str, str]:
+    assert all(bool(rule.remedy) is (rule.status is not Status.OK) for rule in rules)
     return {r.name: str(r.status) for r in rules if r.status is not Status.OK}
 
 
@@ -85,7 +86,7 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     ),
     (("machine.axes.0.motor.gear=31",), {"board: motor as in the model": "FAIL"}),
     (
-        ("machine.axes.0.servo.kd_Nm_s_per_rad=1e-12",),
+        ("machine.axes.0.servo.ki_Nm_per_rad_s=1e-9",),
         {"board: limits and gains as integers": "FAIL"},
     ),
     (("loop.margin_us=8192",), {"margin: in time, bridging 0 lost frames": "warn"}),
@@ -97,27 +98,23 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     (("sim.compute_us=5000", "loop.margin_us=16384"), {"compute: within a knot": "warn"}),
     (("sim.compute_us=17000", "loop.margin_us=32768"), {"compute: within a knot": "FAIL"}),
     (("mpc.horizon_us=532480",), {"plan: points": "FAIL"}),
-    (
-        (
-            *axis(0, acceleration_limit_rad_per_s2=40000),
-            *("mpc.intervals=25", "mpc.horizon_us=512000"),
-        ),
-        {"plan: fits a frame": "warn"},
-    ),
 ]
 PLANAR3_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     ((), {}),
     (axis(0, counts_per_turn=12000), {"encoder: effort of one count": "warn"}),
     (axis(0, counts_per_turn=3000), {"encoder: effort of one count": "FAIL"}),
     (
-        ("machine.axes.0.counts_per_turn=64", "machine.axes.0.servo.kd_Nm_s_per_rad=0"),
+        (
+            *axis(2, counts_per_turn=24),
+            *("machine.axes.2.servo.kd_Nm_s_per_rad=0", "machine.axes.2.servo.kp_Nm_per_rad=1.5"),
+        ),
         {"encoder: acceleration of one quantum": "FAIL"},
     ),
     (
         axis(0, counts_per_turn=4000000),
         {"encoder: counts over the range": "FAIL", "board: limits and gains as integers": "FAIL"},
     ),
-    (("machine.axes.0.servo.kp_Nm_per_rad=15000",), {"servo: phase margin": "warn"}),
+    (("machine.axes.0.servo.kp_Nm_per_rad=8000",), {"servo: phase margin": "warn"}),
     (("machine.axes.0.servo.kp_Nm_per_rad=100000",), {"servo: phase margin": "FAIL"}),
     (("machine.axes.0.servo.kp_Nm_per_rad=8",), {"servo: stiffness that gravity takes": "warn"}),
     (("machine.axes.0.motor.supply_V=38",), {"motor: voltage at both limits": "warn"}),
@@ -125,7 +122,14 @@ PLANAR3_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
         ("machine.axes.0.motor.supply_V=5",),
         {"motor: voltage at both limits": "warn", "motor: voltage in the task": "FAIL"},
     ),
-    (axis(2, coulomb_Nm=0.08), {"prediction: fastest decay in a step": "warn"}),
+    (
+        (
+            *axis(0, acceleration_limit_rad_per_s2=40000, velocity_limit_rad_per_s=60),
+            *("machine.axes.0.motor.supply_V=400", "mpc.intervals=125", "mpc.horizon_us=512000"),
+        ),
+        {"plan: fits a frame": "warn"},
+    ),
+    (axis(2, coulomb_Nm=0.048), {"prediction: fastest decay in a step": "warn"}),
     (axis(2, coulomb_Nm=2), {"prediction: fastest decay in a step": "FAIL"}),
 ]
 
@@ -144,8 +148,8 @@ def test_a_rule_of_the_drives_is_broken_alone(
 
 def test_bodies_that_touch_on_the_way(planar3: Path, tmp_path: Path) -> None:
     text = (MACHINES / "planar3.xml").read_text()
-    (tmp_path / "low.xml").write_text(text.replace("0 0 -1.2", "0 0 0.1"))
-    assert "0 0 0.1" in (tmp_path / "low.xml").read_text()
+    (tmp_path / "low.xml").write_text(text.replace("0 0 -1.2", "0 0 0.5"))
+    assert "0 0 0.5" in (tmp_path / "low.xml").read_text()
     rules = rules_of(planar3, f"machine.model={tmp_path}/low.xml")
     assert not_ok(rules) == {"task: bodies that touch on the way": "FAIL"}
     (touch,) = [rule for rule in rules if rule.status is Status.FAIL]
@@ -156,13 +160,6 @@ def test_a_rule_has_a_case() -> None:
     named = {name for _, broken in ARM2_CASES + PLANAR3_CASES for name in broken}
     named.add("task: bodies that touch on the way")
     assert {rule.name.split(",")[0] for rule in rules_of(ARM2)} == {n.split(",")[0] for n in named}
-
-
-def test_every_broken_rule_says_what_to_change(planar3: Path) -> None:
-    for config, cases in ((ARM2, ARM2_CASES[3:9]), (planar3, PLANAR3_CASES)):
-        for overrides, _ in cases:
-            for rule in rules_of(config, *overrides):
-                assert bool(rule.remedy) is (rule.status is not Status.OK)
 
 
 @pytest.mark.parametrize("name", ["arm2", "arm2-fast"])
@@ -179,14 +176,14 @@ def figures(rules: list[Rule]) -> dict[str, Rule]:
 
 
 fuzz = settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
 @fuzz
 @given(frequency=st.floats(0.05, 1.2), amplitude=st.floats(0.05, 1.5))
 def test_effort_and_gate_of_a_slow_or_fast_task(frequency: float, amplitude: float) -> None:
-    """The oracles: closed forms of the sine, and the pendulum's equation for the outer link alone."""
+    """The oracles: closed forms of the sine and of the stretched arm's weight."""
     rules = figures(
         rules_of(
             ARM2,
@@ -326,7 +323,7 @@ def test_table(check: Run) -> None:
         (["seed=[", "loop.knot_us=3"], "loop.knot_us: "),
         (["machine.axes.0.joint=q7"], "q7"),
         (["machine.model=../tests/machines/gantry.xml"], "x, y, z"),
-        (["machine.model=arm2.yaml"], "XML"),
+        (["machine.model=arm2.yaml"], "arm2.yaml"),
         (["device.servo_period_us=997"], None),
     ],
 )

@@ -21,20 +21,18 @@ CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
 
 @pytest.fixture(scope="module")
-def data() -> bytes:
+def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A run.mcap."""
     memory = Memory()
     config = load_config(CONFIGS / "arm2.yaml", ["duration_s=0.3", "sim.outlier_share=0.02"])
     Lockstep(config, CONFIGS, memory).run()
-    path = Path("/dev/shm") / f"headway-export-{np.random.default_rng().integers(10**9)}"
+    path = tmp_path_factory.mktemp("data") / "run.mcap"
     with path.open("wb") as file:
         target = Target(file, About("name: arm2", 0, {}))
         for batch in memory._batches:
             target.write(batch)
         target.finish(complete=True, dropped=0)
-    data = path.read_bytes()
-    path.unlink()
-    return data
+    return path.read_bytes()
 
 
 @pytest.fixture

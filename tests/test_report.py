@@ -120,6 +120,14 @@ def test_thinning_keeps_all_extremes(values: np.ndarray, points: int, seed: int)
             assert places == sorted(places)
 
 
+@given(st.integers(3, 500), st.integers(2, 60), st.booleans())
+def test_thinning_is_exact_where_nothing_turns(rows: int, points: int, falling: bool) -> None:
+    time_s = np.arange(rows) * 0.1
+    values = np.sqrt(time_s)[:: -1 if falling else 1]
+    kept_s, kept = thin(time_s, values[:, None], points)
+    assert np.array_equal(kept[:, 0], values[np.searchsorted(time_s, kept_s)])
+
+
 def test_thinning_shares_the_rows_out_evenly() -> None:
     time_s = np.arange(100_003.0)
     kept_s, _ = thin(time_s, time_s[:, None], 1000)
@@ -265,15 +273,16 @@ def number_of(picture: bytes) -> int:
     return round(float(np.asarray(image)[2 : height - 2, 2 : width // 2 - 2].mean()))
 
 
-@settings(max_examples=15, deadline=None)
-@given(st.integers(1, 40), st.integers(6_000, 120_000), st.integers(0, 2**31))
-def test_any_pictures_fit(count: int, budget_bytes: int, seed: int) -> None:
-    """Noise, which does not compress: the budget is kept, and the pictures are in order."""
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 40), st.integers(6_000, 120_000), st.integers(1, 8), st.integers(0, 2**31))
+def test_any_pictures_fit(count: int, budget_bytes: int, plain: int, seed: int) -> None:
+    """Noise, which does not compress, and every so often none, so that the first look misleads: the
+    budget is kept, and the pictures are in order."""
     rng = np.random.default_rng(seed)
 
     def draw(number: int, scale: float) -> scene.Picture:
         pixels = rng.integers(0, 256, (round(96 * scale), round(128 * scale), 3), dtype=np.uint8)
-        pixels[:, : pixels.shape[1] // 2] = 5 * number
+        pixels[:, : None if number % plain == 0 else pixels.shape[1] // 2] = 5 * number
         return pixels
 
     done: list[int] = []
@@ -313,7 +322,7 @@ class TestScene:
     def test_a_ghost_shows_where_it_is_apart(self) -> None:
         with Scene(ARM2, ["q1", "q2"], POSES) as arm:
             alone = arm.picture(POSES[0], None)
-            assert np.array_equal(arm.picture(POSES[0], POSES[0] + 1e-4), alone)
+            assert np.array_equal(arm.picture(POSES[0], POSES[0] + 3e-3), alone)
             assert np.mean(arm.picture(POSES[0], POSES[0] + 0.2) != alone) > 0.01
             assert np.array_equal(arm.picture(POSES[0], None), alone)
 

@@ -26,7 +26,7 @@ from headway.configs.load import load_config
 from headway.controller.record.reader import read_run
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-PATIENCE_S = 60.0  # after that the browser is taken to be stuck
+PATIENCE_S = 300.0  # a loaded computer paints a few pictures a second
 READY = "document.documentElement.dataset.ready"
 OPTIONS = (
     "--headless",

@@ -130,7 +130,9 @@ _ALL = (
     ),
     _channel(
         "outlier",
-        "A sample that the simulator replaced by nonsense before the controller saw it",
+        "A sample that the simulator replaced by nonsense before a tick saw it",
+        Field("index", "int", "", "among the samples that the tick had"),
+        Field("sample_time_us", "int", "us", "its stamp"),
         Field("axis", "int", "", "index of the axis"),
         Field("position", "double", _SI, "what the controller saw"),
     ),

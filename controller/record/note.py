@@ -20,12 +20,20 @@ if TYPE_CHECKING:
 
 Note = tuple[str, int, tuple[Any, ...]]
 
+OUTCOME = "outcome"  # of a tick: told later, by reference until then
 VERSION = 2  # of marshal: the later ones look for repeated objects, which takes time
+
+
+def note_tick(recorder: Recorder, tick: Tick, sent_us: int, in_time: bool) -> None:
+    """Notes and publishes a tick: what was decided, and what became of it. It must not change any
+    more."""
+    recorder.add((OUTCOME, tick.now_us, (tick, sent_us, in_time)))
+    recorder.publish()
 
 
 def freeze(notes: list[Note]) -> bytes:
     """A batch of notes. Raises ValueError for a value that cannot be noted."""
-    return marshal.dumps(notes, VERSION)
+    return marshal.dumps([_told(*note) if note[0] == OUTCOME else note for note in notes], VERSION)
 
 
 def thaw(frozen: bytes) -> Iterator[Note]:
@@ -35,20 +43,19 @@ def thaw(frozen: bytes) -> Iterator[Note]:
         yield from marshal.load(stream)
 
 
-def note_tick(recorder: Recorder, tick: Tick, sent_us: int, in_time: bool) -> None:
-    """Notes and publishes a tick: what was decided, and what became of it."""
+def _told(_: str, now_us: int, values: tuple[Tick, int, bool]) -> Note:
+    """A tick in values that marshal knows."""
+    tick, sent_us, in_time = values
     now, commit, solution = tick.now, tick.commit, tick.solution
     if now is None or commit is None:
-        recorder.add(("startup", tick.now_us, (int(tick.phase), tick.states)))
-        recorder.publish()
-        return
+        return "startup", now_us, (int(tick.phase), tick.states)
     solver = None
     if solution is not None:
         solver = (
             (solution.status, solution.motion is not None, solution.iterations, solution.residual),
             (solution.linearize_us, solution.solve_us),
         )
-    values = (
+    told = (
         (sent_us, in_time, tick.accepted, tick.samples, tick.states),
         (tick.encoding_error, tick.planned_torque),
         (now.z, now.covariance),
@@ -57,5 +64,4 @@ def note_tick(recorder: Recorder, tick: Tick, sent_us: int, in_time: bool) -> No
         solver,
         (tick.total_us, tick.estimate_us, tick.encode_us),
     )
-    recorder.add(("tick", tick.now_us, values))
-    recorder.publish()
+    return "tick", now_us, told

@@ -33,8 +33,8 @@ def check(
     """Holds a config against what is known of drives, networks and motion, without running it.
 
     Each rule has a value and the limit up to which it is ok, for the axis where it is worst. Beyond
-    that it is a warning (it runs, but not in every case as well as it could) or a FAIL (it cannot do
-    what it is asked for). Exits with 2 if anything fails.
+    that it is a warning (it runs, but not in every case as well as it could) or a FAIL (it cannot
+    do what it is asked for). Exits with 2 if anything fails.
 
     Example: would a margin of two knots do?
 

@@ -72,10 +72,10 @@ def _write_new(target: Path, text: str) -> None:
     """All of the file or nothing, and never over another one. Raises Failure."""
     sibling = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        sibling.write_text(text, encoding="utf-8")
         try:
+            sibling.write_text(text, encoding="utf-8")
             os.link(sibling, target)  # fails if somebody else has made it meanwhile
         finally:
-            sibling.unlink()
+            sibling.unlink(missing_ok=True)
     except OSError as error:
         raise Failure(ExitCode.USAGE, f"{target}: cannot be written: {error.strerror}") from error

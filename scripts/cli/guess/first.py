@@ -18,6 +18,7 @@ from headway.cli.guess.task import Gentle, gentle_task
 from headway.cli.guess.text import Draft, text_of
 from headway.cli.guess.weights import Weights
 from headway.cli.rules import Rule, Subject, all_rules
+from headway.configs import schema
 from headway.configs.schema import Config, Device
 from headway.models.envelope import envelope
 from headway.models.machine import load_machine
@@ -57,6 +58,7 @@ def _standing_still(model: Path, target: Path) -> Draft:
     return Draft(
         re.sub(r"[^A-Za-z0-9_-]", "_", model.stem)[:25],
         os.path.relpath(model, target.parent),
+        os.path.relpath(Path(schema.__file__).with_name("schema.json"), target.parent),
         axes,
         Gentle(0.1, (low + high) / 2, 0 * low, 0 * low),
         HORIZONS[0],

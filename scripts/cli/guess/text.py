@@ -11,6 +11,7 @@ from headway.cli.guess.weights import Array, Weights
 from headway.configs.section import Section
 
 HEAD = """\
+# yaml-language-server: $schema={schema}
 # {name}: written by `headway init` from {file}.
 # A value with "guessed" behind it is not from the model: measure it, or take it from a data sheet.
 # docs/your-machine.md says what each of them means, and `headway check` what does not fit together.
@@ -25,6 +26,7 @@ class Draft:
 
     name: str
     model: str  # relative to the file
+    schema: str  # likewise: by which editors complete keys
     axes: list[AxisGuess]
     task: Gentle
     horizon: tuple[int, int]  # knots to an interval, intervals
@@ -48,7 +50,8 @@ def text_of(draft: Draft) -> str:
     lines += ["", "task:", "  kind: sines", *_task(draft)]
     lines += ["", "mpc:", *_mpc(draft)]
     lines += ["", "estimator:", *_estimator(draft.weights)]
-    return HEAD.format(name=draft.name, file=draft.model) + "\n" + "\n".join(lines) + "\n"
+    head = HEAD.format(name=draft.name, file=draft.model, schema=draft.schema)
+    return head + "\n" + "\n".join(lines) + "\n"
 
 
 def _axis(axis: AxisGuess) -> list[str]:
@@ -88,7 +91,7 @@ def _mpc(draft: Draft) -> list[str]:
     weights = draft.weights
     return [
         _line("  ", "horizon_us", str(horizon_us), why),
-        _line("  ", "intervals", str(intervals), why),
+        _line("  ", "intervals", str(intervals), "see horizon_us"),
         _line("  ", "position_weight", _list(weights.position), BY_AXIS),
         _line("  ", "velocity_weight", _list(weights.velocity), BY_AXIS),
         _line("  ", "torque_step_weight", _list(weights.torque_step), BY_AXIS),

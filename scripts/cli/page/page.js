@@ -378,7 +378,7 @@
     if (!playing) return;
     const next = time + ((now - before) / 1000) * Number(find("speed").value);
     before = now;
-    seek(next);
+    seek(next <= end ? next : film.start);
     requestAnimationFrame(step);
   }
 

@@ -11,7 +11,7 @@ from headway.controller.record.columns import Arrays
 from headway.controller.record.reader import Run
 from headway.controller.reference import ENTRY_S
 
-POINTS, POINTS_MIN = 16_000, 2_000  # of a curve over all axes, and of one curve
+POINTS, POINTS_MIN = 24_000, 2_000  # of a curve over all axes, and of one curve
 
 
 @dataclass(frozen=True, eq=False)

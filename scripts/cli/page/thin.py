@@ -14,10 +14,10 @@ def thin(time_s: Array, values: NDArray[Any], points: int) -> tuple[Array, Array
     """At most `points` rows of (m,) increasing times and (m, n) values; all rows if m is less.
 
     Rows are gathered into buckets, as many in each, or one more. A bucket gives two rows: at its
-    first and its middle time every column has its least and its greatest value, in the order in
-    which they came. So noise keeps its range, a peak is off by half a bucket at most, and the
-    columns share their times. NaN is passed over where there is anything else. `points` is at
-    least 2.
+    first and its last time every column has its least and its greatest value, in the order in which
+    they came. So noise keeps its range, what rises or falls through a bucket is exact at both, a
+    peak is off by a bucket at most, and the columns share their times. NaN is passed over where
+    there is anything else. `points` is at least 2.
     """
     rows = np.asarray(values, dtype=np.float64)
     m = len(time_s)
@@ -34,5 +34,5 @@ def thin(time_s: Array, values: NDArray[Any], points: int) -> tuple[Array, Array
     )
     rising = first_low <= first_high
     pairs = np.stack((np.where(rising, low, high), np.where(rising, high, low)), axis=1)
-    times = np.stack((time_s[starts], time_s[starts + sizes // 2]), axis=1)
+    times = np.stack((time_s[starts], time_s[starts + sizes - 1]), axis=1)
     return times.ravel(), pairs.reshape(2 * count, -1)

@@ -125,5 +125,6 @@ class Subject:
                 efforts = np.abs(self.effort(position, v * (1 - share), slowing))
                 return bool(np.all(efforts <= self.effort_limit))
 
-            longest = max(longest, next((t for t in STOPS_S if possible(t)), np.inf))
+            if longest < np.inf and not (longest > 0 and possible(longest)):
+                longest = max(longest, next((t for t in STOPS_S if possible(t)), np.inf))
         return longest
