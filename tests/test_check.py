@@ -7,20 +7,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from headway.cli.main import main
 from headway.cli.rules import Rule, Status, Subject, all_rules
 from headway.cli.rules.rule import at_least, at_most, worst
 from headway.cli.rules.task import EFFORT_FAIL
 from headway.configs.load import load_config
+from headway.controller.reference import Sines
 
 ROOT = Path(__file__).resolve().parent.parent
 ARM2 = ROOT / "configs" / "arm2.yaml"
 MACHINES = ROOT / "tests" / "machines"
+Array = NDArray[np.float64]
 COMMAND = Path(sys.executable).with_name("headway")
 
 
@@ -208,6 +212,44 @@ def test_effort_and_gate_of_a_slow_or_fast_task(frequency: float, amplitude: flo
     if effort.value > EFFORT_FAIL * 12:
         expected_status = "FAIL"
     assert str(effort.status) == expected_status
+
+
+def mujocos_effort(q: Array, v: Array, a: Array) -> Array:
+    """Of arm2's motors along a motion (m, 2), by MuJoCo's inverse dynamics."""
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "models" / "arm2" / "arm2.xml"))
+    data, efforts = mujoco.MjData(model), []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(q, v, a, strict=True):
+        mujoco.mj_inverse(model, data)
+        efforts.append(data.qfrc_inverse.copy())
+    return np.array(efforts)
+
+
+def test_effort_and_stop_by_mujoco() -> None:
+    """The task's effort with friction that is known; and the longest time that a straight stop at
+    constant deceleration takes, when each is as short as the limits allow."""
+    friction = ("machine.axes.0.coulomb_Nm=0.3", "machine.axes.1.coulomb_Nm=0.02")
+    fast = ("task.frequency_Hz=0.6", "machine.axes.1.torque_limit_Nm=4")
+    rules = figures(rules_of(ARM2, *fast, *friction))
+    config = load_config(ARM2, [*fast, *friction])
+    limits = np.array([axis.effort_limit for axis in config.machine.axes])
+    time_s = np.arange(0, 1 / 0.6, 4096e-6)
+    q, v, a = Sines(config.task).at(time_s)
+    efforts = np.abs(mujocos_effort(q, v, a) + np.array([0.3, 0.02]) * np.sign(v))
+    shares = efforts.max(axis=0) / limits
+    along = rules["task: effort along it"]
+    assert along.axis == ["q1", "q2"][int(shares.argmax())]
+    assert along.value == pytest.approx(shares.max() * limits[shares.argmax()], rel=1e-6)
+
+    longest, s = 0.0, np.linspace(0, 1, 30)[:, None]
+    for q0, v0 in zip(q[::10], v[::10], strict=True):
+        for stop_s in np.geomspace(1e-3, 1.0, 200):
+            position, speed = q0 + v0 * stop_s * (s - s**2 / 2), v0 * (1 - s)
+            needed = mujocos_effort(position, speed, np.tile(-v0 / stop_s, (30, 1)))
+            needed += np.array([0.3, 0.02]) * np.sign(speed)
+            if np.all(np.abs(needed) <= limits):
+                longest = max(longest, stop_s)
+                break
+    assert rules["horizon: to stop from the task"].value == pytest.approx(longest, rel=0.15)
 
 
 @fuzz

@@ -205,6 +205,47 @@ def test_from_a_finger_to_a_crane(
     assert axis.unit == ("rad" if joint == "hinge" else "m")
 
 
+def test_a_limit_that_nobody_knew_is_not_believed(tmp_path: Path) -> None:
+    """A thousand newton metres on a link of ten grams."""
+    model = tmp_path / "finger.xml"
+    big = '<actuator><motor joint="j" ctrlrange="-1000 1000"/></actuator></mujoco>'
+    model.write_text(chain(tmp_path, 0.05).read_text().replace("</mujoco>", big))
+    assert main(["init", str(model)]) == 0
+    (axis,) = load_config(Path("finger.yaml")).machine.axes
+    assert axis.effort_limit < 1
+    assert (
+        "# guessed: the model has 1000, for an inertia of only" in Path("finger.yaml").read_text()
+    )
+
+
+def test_the_task_keeps_clear_of_what_is_in_the_way(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two posts beside the spindle, which could go 90 mm either way without them."""
+    post = '<geom type="box" size="0.01 0.3 0.5" pos="{x} 0 0"/>'
+    text = MODELS["gantry"].read_text()
+    bed = text[text.index('<geom name="bed"') :].splitlines()[0]
+    model = tmp_path / "posts.xml"
+    model.write_text(text.replace(bed, post.format(x=0.03) + post.format(x=0.18)))
+    assert main(["init", str(model), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rules"] == []
+    free = load_config(Path("posts.yaml")).task.axes[0]
+    assert abs(free.offset) > 0.02 or free.amplitude < 0.08
+
+
+def test_a_weak_machine_plans_further_ahead(tmp_path: Path) -> None:
+    """A fifth of a newton takes longer to stop half a kilogram than a hundred do."""
+    horizons = []
+    for force in (0.2, 100):
+        model = tmp_path / f"slide{force}.xml"
+        motor = f'<actuator><motor joint="j" ctrlrange="-{force} {force}"/></actuator></mujoco>'
+        text = chain(tmp_path, 0.2, "slide").read_text().replace("</mujoco>", motor)
+        model.write_text(text.replace("axis=", 'range="-0.3 0.3" axis='))
+        assert main(["init", str(model)]) == 0
+        horizons.append(load_config(Path(f"slide{force}.yaml")).mpc.horizon_us)
+    assert horizons == [450_560, 212_992]
+
+
 # The command.
 
 
