@@ -180,6 +180,11 @@ class Loop:
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
         now = self.estimator.update(self.samples, now_us, self._commitment)
         self.samples.clear()
+        if not np.isfinite(now.z).all():
+            raise DeviceError(
+                "the estimated state has diverged: `headway check` says whether a joint is too "
+                "stiff to be predicted"
+            )
         knots = [(knot + i) * self._knot_us for i in range(1, self._margin + 1)]
         return now, self.estimator.predict(now, knots, self._commitment)
 

@@ -242,6 +242,15 @@ def test_mistake_as_a_process() -> None:
     assert done.stderr == f"none.yaml: cannot be read: there is no such file in {Path.cwd()}\n"
 
 
+def test_no_plan_passes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The machine has stood still all the time: that is not what was asked for."""
+    monkeypatch.setattr("headway.controller.loop.Loop._passes", lambda *_: False)
+    assert main(["run", str(ARM2), "--duration", "0.6"]) == 3
+    assert "headway check" in capsys.readouterr().err
+
+
 def test_limit_violated(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(ARM2), *SHORT, "--json", "--out", "out", *SAGGING]) == 3
     out, err = capsys.readouterr()

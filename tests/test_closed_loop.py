@@ -1,5 +1,6 @@
 """The whole loop: what the machine does under MPC, and how it stops when the host dies."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -206,6 +207,19 @@ def test_an_overrun_coasts_and_recovers(stall_s):
 def test_a_stall_longer_than_the_plan_ends_in_hold_and_says_so():
     with pytest.raises(DeviceError, match="came to rest"):
         closed_loop("duration_s=3", "sim.stall_host_at_s=1.0", "sim.stall_host_s=0.4")
+
+
+def test_an_estimate_that_diverged_ends_the_run():
+    lockstep = Lockstep(load_config(CONFIGS / "arm2.yaml", ["duration_s=1"]), CONFIGS)
+    update = lockstep.loop.estimator.update
+
+    def diverge(samples, now_us, tracks):
+        estimate = update(samples, now_us, tracks)
+        return replace(estimate, z=estimate.z * np.nan) if lockstep.ticks > 50 else estimate
+
+    lockstep.loop.estimator.update = diverge
+    with pytest.raises(DeviceError, match="diverged"):
+        lockstep.run()
 
 
 def test_packets_out_of_turn_cost_next_to_nothing(shipped):

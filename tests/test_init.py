@@ -243,7 +243,7 @@ def test_a_weak_machine_plans_further_ahead(tmp_path: Path) -> None:
         model.write_text(text.replace("axis=", 'range="-0.3 0.3" axis='))
         assert main(["init", str(model)]) == 0
         horizons.append(load_config(Path(f"slide{force}.yaml")).mpc.horizon_us)
-    assert horizons == [450_560, 212_992]
+    assert horizons[0] > 1.5 * horizons[1]
 
 
 # The command.

@@ -11,7 +11,7 @@ class ExitCode(enum.IntEnum):
     DONE = 0
     INTERNAL = 1  # a mistake of ours
     USAGE = 2  # a mistake in the command line or in the config
-    LIMIT = 3  # the run is complete, but a limit was violated in it
+    LIMIT = 3  # the run is complete, but a limit was violated in it, or no plan passed
     DEVICE = 4  # a device or the link to it failed
     RECORD = 5  # the run is over, but its record misses something: do not trust the figures
     INTERRUPTED = 130  # Ctrl-C

@@ -29,8 +29,8 @@ Example: simulate two seconds of the two-link arm and see how well it followed.
 """
 
 EXIT_CODES = """Exit codes: 0 done, 1 internal error, 2 mistake in the command line or the config,
-3 a limit was violated, 4 a device or the link failed, 5 the record misses something,
-130 interrupted."""
+3 a limit was violated or no plan passed its checks, 4 a device or the link failed, 5 the record
+misses something, 130 interrupted."""
 
 
 def make_app() -> App:

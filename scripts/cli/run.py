@@ -200,10 +200,13 @@ def _verdict(summary: dict[str, Any], interrupted: bool, record_failure: str) ->
         print(f"limit violated: {violation}", file=sys.stderr)
     if not summary["record"]["complete"]:
         print(f"the record is incomplete, and so is the summary: {record_failure}", file=sys.stderr)
+    if not summary["solver"]["accepted"]:
+        print("no plan passed its checks: see what `headway check` says", file=sys.stderr)
     if interrupted:
         rest = "was brought to rest" if summary["at_rest_after_end"] else "did NOT come to rest"
         print(f"interrupted; the machine {rest}", file=sys.stderr)
         return ExitCode.INTERRUPTED
     if not summary["record"]["complete"]:
         return ExitCode.RECORD
-    return ExitCode.LIMIT if summary["limits_violated"] else ExitCode.DONE
+    good = summary["solver"]["accepted"] and not summary["limits_violated"]
+    return ExitCode.DONE if good else ExitCode.LIMIT
