@@ -54,11 +54,7 @@ class Loop:
         recorder: Recorder,
     ) -> None:
         axes = config.machine.axes
-        if tuple(a.joint for a in axes) != machine.joints:
-            raise ValueError(
-                f"machine.axes name the joints {', '.join(a.joint for a in axes)}; "
-                f"the model has {', '.join(machine.joints)}: list all of them, in that order"
-            )
+        machine.require_axes(tuple(a.joint for a in axes))
         self._config, self._remotes, self._task = config, remotes, reference
         self._recorder = recorder
         self._reference = reference

@@ -62,13 +62,14 @@ class Start:
 
     def _settled(self) -> bool:
         """Whether every clock has settled."""
-        late = self._ticks > 4 * SETTLE_TICKS
-        pairs = list(zip(self._joints, self._remotes, strict=True))
-        unsynced = [joint for joint, r in pairs if not (r.status and r.status.synced)]
-        if late:
-            raise DeviceError(f"{', '.join(unsynced)}: not synced within {4 * SETTLE_TICKS} ticks")
         idle = all(r.status and r.status.state == IDLE for r in self._remotes)
-        return self._ticks >= SETTLE_TICKS and idle
+        if idle:
+            return self._ticks >= SETTLE_TICKS
+        if self._ticks > 4 * SETTLE_TICKS:
+            pairs = zip(self._joints, self._remotes, strict=True)
+            unsynced = [joint for joint, r in pairs if not (r.status and r.status.synced)]
+            raise DeviceError(f"{', '.join(unsynced)}: not synced within {4 * SETTLE_TICKS} ticks")
+        return False
 
     def _standing_at(self, samples: list[Sample]) -> Array:
         """Median of the last samples of each axis: an outlier does not move it."""

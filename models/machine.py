@@ -27,6 +27,14 @@ class Machine:
     model: pin.Model
     tree: Tree
 
+    def require_axes(self, joints: tuple[str, ...]) -> None:
+        """Raises ValueError unless a config's axes are this machine's joints, in their order."""
+        if joints != self.joints:
+            raise ValueError(
+                f"machine.axes name the joints {', '.join(joints)}; the model has "
+                f"{', '.join(self.joints)}: list all of them, in that order"
+            )
+
 
 def load_machine(path: Path) -> Machine:
     """Reads an MJCF (.xml) or URDF (.urdf) file.

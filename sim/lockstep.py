@@ -25,7 +25,7 @@ from headway.devices.remote import Remote
 from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.sim.network import Mailbox, Wire
-from headway.sim.plant import Plant
+from headway.sim.plant import Plant, start_of
 
 TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
@@ -79,7 +79,7 @@ class Lockstep:
         world, outliers, *wires = (np.random.default_rng(s) for s in root.spawn(2 + 2 * n))
         self._outlier_rng = outliers
         reference = Sines(config.task)
-        start = config.sim.start_rad_or_m or reference.at(np.zeros(1))[0][0].tolist()
+        start = start_of(config, reference)
         period_us = config.device.servo_period_us
         self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
         self.epoch_us = int(world.integers(10**15, 2 * 10**15))

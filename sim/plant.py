@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.configs.schema import Machine
+from headway.configs.schema import Config, Machine
 from headway.configs.schema import Plant as PlantConfig
+from headway.controller.reference import Reference
 from headway.sim import _board
 from headway.sim.drives import driven_model
 
@@ -27,6 +28,11 @@ COUNTS_PER_UNIT, GEAR, TORQUE_CONSTANT, RESISTANCE, SUPPLY, BRAKE = range(6)  # 
 
 class UnstableError(Exception):
     """The simulated machine's motion grew beyond all bounds."""
+
+
+def start_of(config: Config, reference: Reference) -> list[float]:
+    """Where the axes are at power-up [rad or m]: as configured, else where the task starts."""
+    return config.sim.start_rad_or_m or reference.at(np.zeros(1))[0][0].tolist()
 
 
 class Plant:

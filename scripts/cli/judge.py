@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.cli.summary import REST_MOVE, REST_SPEED, REST_WINDOW_S
+from headway.cli.summary import REST_MOVE, REST_SPEED, REST_WINDOW_S, judged
 from headway.configs.schema import Config
 from headway.controller.reference import ENTRY_S
 from headway.devices.axis import AxisUnits
@@ -99,14 +99,14 @@ def tracks_badly(
 ) -> list[str]:
     """Where the tracking error of a joint, in mrad or mm as in the summary, is not below."""
     truth_s = arrays["truth_s"]
-    judged = np.logical_and(truth_s >= ENTRY_S, truth_s <= arrays["tick_s"][-1])
-    if not np.any(judged):
+    in_task = judged(truth_s, arrays)
+    if not np.any(in_task):
         return [TOO_SHORT]
-    error = 1e3 * np.abs(arrays["truth_position"] - arrays["truth_reference"])[judged]
+    error = 1e3 * np.abs(arrays["truth_position"] - arrays["truth_reference"])[in_task]
     found, tracking = [], summary["tracking"]
     for i, axis in enumerate(config.machine.axes):
         worst = int(np.argmax(error[:, i]))
-        unit, when = tracking["unit"][i], f"at {truth_s[judged][worst]:.3f} s"
+        unit, when = tracking["unit"][i], f"at {truth_s[in_task][worst]:.3f} s"
         for which, bounds in (("rms", rms), ("max", largest)):
             value, bound = tracking[which][i], bounds.get(axis.joint)
             if bound is not None and not (value is not None and value < bound):
@@ -123,10 +123,10 @@ def estimates_badly(
 ) -> list[str]:
     """Where the estimated position at now is not close enough to the true one, in counts."""
     now_s, axes = arrays["now_s"], config.machine.axes
-    judged = now_s >= ENTRY_S
-    if not np.any(judged):
+    in_task = judged(now_s, arrays)
+    if not np.any(in_task):
         return [TOO_SHORT]
-    error = np.abs(arrays["now_estimate"][:, : len(axes)] - arrays["actual_position"])[judged]
+    error = np.abs(arrays["now_estimate"][:, : len(axes)] - arrays["actual_position"])[in_task]
     found = []
     for i, axis in enumerate(axes):
         per_count = AxisUnits.of(axis, config.loop).unit_per_count
@@ -135,7 +135,7 @@ def estimates_badly(
             worst = int(np.argmax(error[:, i]))
             found.append(
                 f"{axis.joint}: rms error of the estimated position {value / per_count:.4g} counts "
-                f"(worst at {now_s[judged][worst]:.3f} s: {error[worst, i] / per_count:.4g} "
+                f"(worst at {now_s[in_task][worst]:.3f} s: {error[worst, i] / per_count:.4g} "
                 f"counts), not below {bound:g} counts"
             )
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ def _percentiles(values: Array, **percents: float) -> dict[str, float | None]:
     return {name: _number(np.percentile(known, percent)) for name, percent in percents.items()}
 
 
-def _judged(time_s: Array, arrays: Arrays) -> NDArray[np.bool_]:
+def judged(time_s: Array, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Which of these times lie in the task, after the entry and before the coasting to rest."""
     end_s = float(arrays["tick_s"][-1])
     return np.logical_and(time_s >= ENTRY_S, time_s <= end_s)
@@ -93,8 +94,8 @@ def _judged(time_s: Array, arrays: Arrays) -> NDArray[np.bool_]:
 
 def _tracking(config: Config, arrays: Arrays) -> dict[str, Any]:
     """The plant's true position against the task's reference."""
-    judged = _judged(arrays["truth_s"], arrays)
-    error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[judged]
+    in_task = judged(arrays["truth_s"], arrays)
+    error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[in_task]
     units = [f"m{axis.unit}" for axis in config.machine.axes]
     return {"rms": _rms(error), "max": _max(error), "unit": units}
 
@@ -114,7 +115,7 @@ def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
         time_s = arrays[f"{which}_s"]
         true_state = np.hstack((truth(time_s), rate(time_s)))
         error = arrays[f"{which}_estimate"][:, :states] - true_state
-        rms[f"rms_{which}"] = _rms(error[_judged(arrays["now_s"], arrays)])
+        rms[f"rms_{which}"] = _rms(error[judged(arrays["now_s"], arrays)])
     estimator = lockstep.loop.estimator
     nis = estimator.nis_sum / estimator.accepted if estimator.accepted else None
     return {**rms, "nis_mean": nis}
@@ -130,13 +131,13 @@ def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
     tq_per_effort = _tq_per_effort(config)
     applied = arrays["servo_torque_tq"] / tq_per_effort
     unclipped = arrays["servo_unclipped_tq"] / tq_per_effort
-    judged = applied[_judged(arrays["truth_s"], arrays)]
+    in_task = applied[judged(arrays["truth_s"], arrays)]
     return {
         "max_abs": _max(applied),
         "max_unclipped": _max(unclipped),
         "clipped_share": _numbers(np.mean(applied != unclipped, axis=0)),
         "limit": [axis.effort_limit for axis in config.machine.axes],
-        "noise_rms": _rms(np.diff(judged, n=2, axis=0) / np.sqrt(6)),
+        "noise_rms": _rms(np.diff(in_task, n=2, axis=0) / np.sqrt(6)),
         "unit": [axis.effort_unit for axis in config.machine.axes],
     }
 

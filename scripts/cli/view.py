@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import time
 import warnings
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from headway.cli.failure import ExitCode, Failure
@@ -56,12 +55,7 @@ class View:
     def __enter__(self) -> View:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._window.close()
 
     def show(self, done_s: float) -> None:

@@ -18,6 +18,7 @@ from headway.models.envelope import Envelope, envelope
 from headway.models.machine import Machine, load_machine
 from headway.models.stated import Joint, stated
 from headway.sim.drives import driven_model
+from headway.sim.plant import start_of
 
 Array = NDArray[np.float64]
 
@@ -48,14 +49,10 @@ class Subject:
         self.machine: Machine = load_machine(path)
         self.axes: list[Axis] = config.machine.axes
         names = tuple(axis.joint for axis in self.axes)
-        if names != self.machine.joints:
-            raise ValueError(
-                f"machine.axes name the joints {', '.join(names)}; the model has "
-                f"{', '.join(self.machine.joints)}: list all of them, in that order"
-            )
+        self.machine.require_axes(names)
         self.joints: list[Joint] = stated(path, names)
         self.reference = Sines(config.task)
-        start = config.sim.start_rad_or_m or self.reference.at(np.zeros(1))[0][0].tolist()
+        start = start_of(config, self.reference)
         self.start: Array = np.array(start)
         period_us = config.device.servo_period_us
         self.plant: mujoco.MjModel = driven_model(path, config.machine, period_us, start)
