@@ -7,7 +7,7 @@ seconds, efforts in `effort_unit` (Nm or N; effort is the word for torque and fo
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, WrapValidator, model_validator
 
@@ -25,11 +25,27 @@ class Motor(Section):
     """Of the winding."""
     supply_V: Positive
     """What the bridge has at full duty."""
+    supply_min_V: Positive | None = None
+    """The board stops below it. Default: 70 % of supply_V."""
+    supply_max_V: Positive | None = None
+    """The board stops above it. Default: 125 % of supply_V. Half-way to it, what the motor feeds
+    back is burnt in a resistor."""
+    continuous_A: Positive | None = None
+    """The current that it bears for ever. Default: that of the effort limit."""
+    overload_s: Positive = 3.0
+    """How long it bears twice that."""
+    winding_s: Positive = 60.0
+    """The time constant of its winding's temperature."""
 
     @property
     def constant(self) -> float:
         """Effort at the joint per current, and voltage per speed of the joint: SI."""
         return self.gear * self.torque_constant_Nm_per_A
+
+    @property
+    def turn(self) -> float:
+        """What a turn of the motor moves the joint by [rad or m]."""
+        return 2 * math.pi / self.gear
 
     @property
     def damping(self) -> float:
@@ -66,9 +82,60 @@ class LinearServo(Section):
     """Derivative gain, on the change of the following error."""
 
 
+class _Homing(Section):
+    """How the board finds out where its axis is, if its encoder does not know at power-up."""
+
+    method: Literal["index", "switch", "stop"]
+    """The mark: the encoder's index pulse, a home switch, or a mechanical stop."""
+    backwards: bool = False
+    """The direction of the search."""
+
+
+class RotaryHoming(_Homing):
+    """Homing of a rotary axis."""
+
+    mark: Finite = Field(alias="mark_rad")
+    """The position of the mark."""
+    speed: Positive = Field(alias="speed_rad_per_s")
+    """Of the search."""
+    effort: Positive = Field(alias="torque_Nm")
+    """Of the feedback at most: what a mechanical stop has to bear."""
+    way: Positive = Field(alias="way_rad")
+    """The longest search."""
+
+
+class LinearHoming(_Homing):
+    """Homing of a linear axis."""
+
+    mark: Finite = Field(alias="mark_m")
+    """The position of the mark."""
+    speed: Positive = Field(alias="speed_m_per_s")
+    """Of the search."""
+    effort: Positive = Field(alias="force_N")
+    """Of the feedback at most: what a mechanical stop has to bear."""
+    way: Positive = Field(alias="way_m")
+    """The longest search."""
+
+
 class _Axis(Section):
     joint: str
     """The joint's name in the model."""
+    carries_gravity: bool = True
+    """Without torque it would fall: the board never drops its torque."""
+
+    @property
+    def deceleration(self) -> float:
+        """Of the board's own stop: SI."""
+        axis: Any = self
+        given: float | None = axis.stop_deceleration
+        return axis.acceleration_limit / 10 if given is None else given
+
+    @property
+    def following(self) -> float:
+        """The largest following error: SI."""
+        axis: Any = self
+        given: float | None = axis.following_limit
+        return (axis.position_max - axis.position_min) / 8 if given is None else given
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
@@ -103,6 +170,12 @@ class RotaryAxis(_Axis):
     """Of a plan, in either direction."""
     acceleration_limit: Positive = Field(alias="acceleration_limit_rad_per_s2")
     """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_rad_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_rad")
+    """The board stops when the axis is further from where it should be. Default: an eighth of
+    the range."""
     effort_limit: Positive = Field(alias="torque_limit_Nm")
     """The most that the servo asks of the motor, at the joint."""
     coulomb: NotNegative = Field(default=0.0, alias="coulomb_Nm")
@@ -111,6 +184,8 @@ class RotaryAxis(_Axis):
     """The motor that moves it."""
     servo: RotaryServo
     """The gains of the board's servo."""
+    homing: RotaryHoming | None = None
+    """How the board finds out where the axis is. Default: the encoder knows."""
 
     @property
     def unit(self) -> str:
@@ -143,6 +218,12 @@ class LinearAxis(_Axis):
     """Of a plan, in either direction."""
     acceleration_limit: Positive = Field(alias="acceleration_limit_m_per_s2")
     """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_m_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_m")
+    """The board stops when the axis is further from where it should be. Default: an eighth of
+    the range."""
     effort_limit: Positive = Field(alias="force_limit_N")
     """The most that the servo asks of the motor, at the joint."""
     coulomb: NotNegative = Field(default=0.0, alias="coulomb_N")
@@ -151,6 +232,8 @@ class LinearAxis(_Axis):
     """The motor that moves it."""
     servo: LinearServo
     """The gains of the board's servo."""
+    homing: LinearHoming | None = None
+    """How the board finds out where the axis is. Default: the encoder knows."""
 
     @property
     def unit(self) -> str:

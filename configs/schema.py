@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from headway.configs.axis import Axis, Sine
-from headway.configs.section import ByAxis, Delay, Finite, NotNegative, Positive, Section, Share
+from headway.configs.section import (
+    LARGE,
+    ByAxis,
+    Delay,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Share,
+)
 
 
 class Machine(Section):
@@ -28,6 +37,16 @@ class Device(Section):
     """Servo periods from one encoder sample to the next."""
     integrate_while_running: bool = False
     """Whether the servo's integrator also works while a plan runs."""
+    brake_us: Annotated[int, Field(ge=0, le=1_000_000)] = 30_000
+    """The time that a brake is given to engage or to let go."""
+    stop_us: Annotated[int, Field(ge=10_000, le=10_000_000)] = 500_000
+    """From a fault or an emergency stop to the brake, at most."""
+    sync_lost_us: Annotated[int, Field(ge=100_000, le=60_000_000)] = 1_000_000
+    """Without a sign of the host's time for so long, a board stops."""
+    position_gap: Literal["interpolate", "ramp", "fault"] = "interpolate"
+    """What a board does about missing position points: fill in up to 4, come to rest, or fail."""
+    torque_gap: Literal["interpolate", "hold", "zero", "fault"] = "hold"
+    """The same for the torque track: fill in, keep the last torque, none, or fail."""
 
 
 class Loop(Section):
@@ -37,6 +56,11 @@ class Loop(Section):
     """The grid of time: a tick, and a control point of each track, every so often."""
     margin_us: Annotated[int, Field(ge=1024, le=200000)]
     """The time after now in which nothing is changed: longer than wire and computation."""
+    gains: Literal["off", "fixed", "scheduled"] = "off"
+    """Gain tracks. off: none, the boards use the gains they have. fixed: the same gains as tracks.
+    scheduled: gains that follow the inertia along the plan, so that each servo's bandwidth stays
+    the same; they are those of machine.axes at the largest inertia and less elsewhere.
+    """
 
     @property
     def knot_shift(self) -> int:
@@ -130,6 +154,8 @@ class Channel(Section):
     """How far that time varies to either side."""
     loss: Share = 0.01
     """Share of packets that get lost."""
+    loss_run: Annotated[float, Field(ge=1, le=1000)] = 1.0
+    """Packets that get lost in a row, on average. Never less than what chance alone makes of it."""
     reorder: Share = 0.0
     """Share of packets that are held up, so that others overtake them."""
     reorder_us: Delay = 4000
@@ -147,6 +173,30 @@ class Clocks(Section):
 
     drift_ppm: Annotated[float, Field(ge=0, le=150)] = 30.0
     """Each board's oscillator drifts by up to this much, in either direction."""
+
+
+class Mishap(Section):
+    """Something that goes wrong in the simulated world."""
+
+    kind: Literal[
+        "emergency_stop",
+        "reset",
+        "partition",
+        "encoder_stuck",
+        "encoder_reversed",
+        "encoder_spike",
+        "supply_sag",
+    ]
+    """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
+    stands still, counts backwards or jumps, the supply sags."""
+    at_s: NotNegative
+    """When in the task."""
+    for_s: Positive = LARGE
+    """How long it lasts; an encoder's defect stays, a reset is over at once."""
+    joint: str | None = None
+    """The axis that it happens to. Default: all."""
+    supply_V: NotNegative = 0.0
+    """What is left of a sagging supply."""
 
 
 class Sim(Section):
@@ -173,6 +223,11 @@ class Sim(Section):
     """How long that tick takes in addition."""
     kill_host_at_s: NotNegative | None = None
     """When in the task the host dies: no message leaves it afterwards."""
+    mishaps: list[Mishap] = Field(default=[])
+    """What else goes wrong."""
+    bridge_F: NotNegative = 0.0
+    """Capacitance of each board's bridge behind a diode; 0: the supply takes back what motors feed
+    back."""
 
 
 class Config(Section):
@@ -229,6 +284,18 @@ class Config(Section):
         if self.mpc.horizon_us % step_us:
             mistakes.append(
                 f"mpc.horizon_us must be a multiple of mpc.intervals * loop.knot_us = {step_us}"
+            )
+        joints = [axis.joint for axis in self.machine.axes]
+        mistakes += [
+            f"sim.mishaps.{i}.joint is {mishap.joint}; the machine's joints are {', '.join(joints)}"
+            for i, mishap in enumerate(self.sim.mishaps)
+            if mishap.joint is not None and mishap.joint not in joints
+        ]
+        heavy = [axis.joint for axis in self.machine.axes if axis.carries_gravity]
+        if self.device.torque_gap == "zero" and heavy:
+            mistakes.append(
+                f"device.torque_gap is zero, which would drop {', '.join(heavy)}: choose another, "
+                "or say carries_gravity: false where that is so"
             )
         if not mistakes:
             mistakes = [m for axis in range(n) for m in self._of_axis(axis)]

@@ -1,9 +1,9 @@
 """The machine's equations of motion, with and without its servo loops, as CasADi functions.
 
 x' = [v, a(q, v, tau)] where tau is given ("driven") or the servo's ("servoed"):
-tau = clip(f + Kp (r - q) + (Kd + c)(r' - v)), with r and f the position and torque tracks. c is the
-motor's: its voltage is set for the track's speed, so a speed error meets the back-EMF,
-c = (gear Kt)^2 / R.
+tau = clip(f + Kp (r - q) + (Kd + c)(r' - v)), with r and f the position and torque tracks; the
+gains may be tracks as well. c is the motor's: its voltage is set for the track's speed, so a speed
+error meets the back-EMF, c = (gear Kt)^2 / R.
 
 Each is one function that the generated C calls at every stage of every step: written out in place,
 a spatial arm of three joints took most of a minute to compile.
@@ -18,13 +18,14 @@ import casadi as ca
 from headway.models.dynamics import Tree, forward_derivatives, forward_dynamics, inverse_dynamics
 
 COULOMB_SPEED = 0.03  # [rad/s], over which the friction's sign is smoothed
-LAW_ROWS = (
-    4  # Kp, Kd + c, limit, known Coulomb friction: parameters, so that gains need no compiler
-)
+TRACK_ROWS = 5  # r, r', f, Kp, Kd + c: what varies in time
+LAW_ROWS = 2  # limit, known Coulomb friction: parameters, so that they need no compiler
 
 
 class Equations:
-    """Functions of x = [q, v] (2n), a control, the disturbance torque d (n) and the servo law (4n).
+    """Functions of x = [q, v] (2n), a control, the disturbance torque d (n) and the servo law (2n).
+
+    Servoed, the control is the tracks [r, r', f, Kp, Kd + c] (5n).
 
     driven_slope, servoed_slope: to x', its velocity rows' Jacobian in x (n, 2n) and in d (n, n).
     servoed: to x' alone. inverse: of q, v, a and the law to torques.
@@ -33,10 +34,10 @@ class Equations:
     def __init__(self, tree: Tree) -> None:
         n = self.n = tree.count
         x, u, d = ca.SX.sym("x", 2 * n), ca.SX.sym("u", n), ca.SX.sym("d", n)
-        tracks, law = ca.SX.sym("tracks", 3 * n), ca.SX.sym("law", LAW_ROWS * n)
+        tracks, law = ca.SX.sym("tracks", TRACK_ROWS * n), ca.SX.sym("law", LAW_ROWS * n)
         q, v, a = x[:n], x[n:], ca.SX.sym("a", n)
-        r, rate, f = ca.vertsplit(tracks, n)
-        kp, damping, limit, coulomb = ca.vertsplit(law, n)
+        r, rate, f, kp, damping = ca.vertsplit(tracks, n)
+        limit, coulomb = ca.vertsplit(law, n)
 
         friction = coulomb * ca.tanh(v / COULOMB_SPEED)
         torque = f + kp * (r - q) + damping * (rate - v)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Estimator as EstimatorConfig
 from headway.configs.section import by_axis
+from headway.controller.equations import TRACK_ROWS
 from headway.controller.prediction import Prediction
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ class Tracks(Protocol):
     """What the devices execute, as far as the host knows."""
 
     def at(self, times_us: NDArray[np.int64]) -> Array:
-        """[r, r', f] at system times (m,): (m, 3n) in rad, rad/s, Nm."""
+        """[r, r', f, Kp, Kd + c] at system times (m,): (m, 5n) in rad, Nm and seconds."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]
         )  # not (n, 1), which a 1-D measurement would silently grow to a matrix
         self.F = np.eye(3 * n)
         self._step = prediction.step
-        self.tracks = np.zeros((3, 3 * n))
+        self.tracks = np.zeros((3, TRACK_ROWS * n))
         self.dt_s = 0.0
 
     def predict_x(self, u: object = 0) -> None:

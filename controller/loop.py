@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from headway.configs.schema import Config
 from headway.controller.estimator import Estimate, Estimator, Sample
 from headway.controller.feedforward import Feedforward
+from headway.controller.gains import Gains
 from headway.controller.mpc import Motion, Mpc
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.recorder import Recorder
@@ -29,12 +30,11 @@ from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits
 from headway.devices.link import Link
-from headway.devices.remote import SINKS, Points, Remote
+from headway.devices.remote import Points, Remote
+from headway.devices.stop import moves, why
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
-
-HOLD = core.STATES.index("HOLD")
 
 
 def plan_points(config: Config) -> int:
@@ -78,8 +78,12 @@ class Loop:
         self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
         unit_per_count = np.array([u.unit_per_count for u in self._units])
         self.estimator = Estimator(self._prediction, config.estimator, unit_per_count)
-        self._commitment = Commitment(remotes, self._units, config.loop)
-        self._encoder = Encoder(self._prediction, self._units, config.loop)
+        gains = Gains(config, machine, points)
+        self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
+        for limits, more in zip(self._limits, gains.limits, strict=True):
+            limits.update(more)
+        self._commitment = Commitment(remotes, self._units, gains, config.loop)
+        self._encoder = Encoder(self._prediction, self._units, gains, config.loop)
         self._mpc = Mpc(config, self._prediction) if config.mpc.enabled else None
         self._feedforward = Feedforward(self._prediction, config.mpc.feedforward == "model")
         nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
@@ -87,8 +91,8 @@ class Loop:
         self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
         self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
         self.samples: list[Sample] = []  # received, not yet estimated from
-        self._start = Start(config, remotes, self._units, self._prediction)
-        self.phase = Phase.SYNC
+        self._start = Start(config, remotes, self._units, self._prediction, gains)
+        self.phase = Phase.HELLO
         self.start_us = 0  # task time zero
 
     def read(self, link: Link, now_us: int) -> None:
@@ -122,19 +126,25 @@ class Loop:
         points = outbox.points if in_time else None
         packets = []
         for device, remote in enumerate(self._remotes):
-            if points is not None:
-                packet = remote.plan_packet(outbox.first_knot, points[device], sent_us)
+            if not remote.established:
+                packets += [(device, packet) for packet in remote.hello_packets(sent_us)]
+            elif points is not None:
+                packets.append(
+                    (device, remote.plan_packet(outbox.first_knot, points[device], sent_us))
+                )
             else:
-                packet = remote.sync_packet(sent_us)
+                packets.append((device, remote.sync_packet(sent_us)))
+            if (command := remote.command_packet()) is not None:
+                packets.append((device, command))
+        for device, packet in packets:
             link.send(device, packet, sent_us)
-            packets.append(packet)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))
         return in_time
 
     def _start_up(self, knot: int) -> Outbox:
         """Until every device executes its first plan."""
         outbox = self._start.tick(knot, self.samples)
-        if self.phase is Phase.SYNC and self._start.phase is Phase.START:
+        if self.phase is not Phase.START and self._start.phase is Phase.START:
             start = self._start
             # The brakes let go at the start knot: till then the position is known, nothing moves.
             self.start_us = start.knot * self._knot_us
@@ -185,11 +195,22 @@ class Loop:
         return now, self.estimator.predict(now, knots, self._commitment)
 
     def _check_devices(self, tick: Tick) -> None:
-        for axis, state in zip(self._config.machine.axes, tick.states, strict=True):
-            if state == HOLD:
-                raise DeviceError(
-                    f"{axis.joint}: the device came to rest and holds: no plan reached it in time"
-                )
+        """A device that no longer executes plans ends the run; the others, who get no new ones,
+        come to rest together."""
+        stopped = [
+            f"{axis.joint}: {why(remote.status, axis, units, self._config.device.servo_period_us)}"
+            for axis, units, remote in zip(
+                self._config.machine.axes, self._units, self._remotes, strict=True
+            )
+            if remote.status is not None and not moves(remote.status)
+        ]
+        if stopped:
+            mute = [
+                f"{axis.joint}: the device no longer answers"
+                for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True)
+                if remote.overdue(tick.now_us)
+            ]
+            raise DeviceError("; ".join([*mute, *stopped]))
         # By then the others, who got plans until this one fell silent, have come to rest as well.
         rest_knots = self._margin + self._horizon + core.COAST_KNOTS + 1
         for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
@@ -237,7 +258,7 @@ class Loop:
             return False
         first = commit_knot - 1
         for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
-            for sink in SINKS:
+            for sink in self._sinks:
                 result = core.gate_check_track(
                     limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
                 )
@@ -250,7 +271,7 @@ class Loop:
         first = knot + core.LIVE_KNOTS
         ends = [r.track(core.TRACK_POSITION).end for r in self._remotes]
         count = max(3, min(max(ends) - first + 1, core.PLAN_POINTS_MAX))
-        points = [{s: r.track(s).points(first, count) for s in SINKS} for r in self._remotes]
+        points = [{s: r.track(s).points(first, count) for s in self._sinks} for r in self._remotes]
         return Outbox(first, points)
 
     def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
@@ -259,7 +280,7 @@ class Loop:
         joined: list[Points] = []
         for remote, plan in zip(self._remotes, points, strict=True):
             joined.append({})
-            for sink in SINKS:
+            for sink in self._sinks:
                 before = remote.track(sink).points(first, max(0, commit_knot + 2 - first))
                 joined[-1][sink] = np.concatenate((before, plan[sink][3:]))
         return Outbox(first, joined, commit_knot * self._knot_us)

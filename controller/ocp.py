@@ -11,7 +11,7 @@ each; linear in between), one slack per axis for the soft position limits.
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
                 v_{N-1} = v_N = 0                        rest at the end
                 |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit
-                soft_min - s <= q + T v <= soft_max + s
+                soft_min - s <= q + T v <= soft_max + s, with T by axis
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ Array = NDArray[np.float64]
 
 TORQUE_SHARE = 0.99  # of the torque limit is planned at first: the rest is for the encoding
 HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
-# A soft limit is approached no faster than its distance over this time: a machine that brakes later
-# than the model thinks then still stops short of it (a linear barrier: Ames et al., "Control
-# barrier functions: theory and applications", 2019).
+# A soft limit is approached no faster than its distance over this time, or over a longer one: a
+# machine that brakes later than the model thinks then still stops short of it (a linear barrier:
+# Ames et al., "Control barrier functions: theory and applications", 2019).
 APPROACH_S = 0.1
+STOP_SHARE = 0.8  # of the stop deceleration, with which a plan could stop anywhere
 RETURN_S = 0.4  # time constant of the way back into the soft limits
 # What a plan keeps to a position limit: what the model does not know goes there.
 ROOM = {"rad": 4e-3, "m": 4e-4}
@@ -52,6 +53,7 @@ class Limits:
     acceleration: Array
     soft_min: Array
     soft_max: Array
+    approach_s: Array  # T
 
     @classmethod
     def of(cls, config: Config) -> Limits:
@@ -65,12 +67,20 @@ class Limits:
         # Zappa, Automatica 37, 2001).
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
         shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
+        velocity = HULL_SHARE * np.array([a.velocity_limit for a in axes])
+        # T v <= room and v <= 2 a T give the gate's v^2 <= 2 a room: T is such that the second
+        # holds up to the fastest plan, with a share of the a that the gate counts on. An axis with
+        # soft limits at both ends has the way beyond them to stop on.
+        stop = STOP_SHARE * np.array([a.deceleration for a in axes])
+        soft = [a.soft_min is not None and a.soft_max is not None for a in axes]
+        approach_s = np.where(soft, APPROACH_S, np.maximum(APPROACH_S, velocity / (2 * stop)))
         return cls(
             np.outer(shares, [a.effort_limit for a in axes]),
-            HULL_SHARE * np.array([a.velocity_limit for a in axes]),
+            velocity,
             HULL_SHARE * np.array([a.acceleration_limit for a in axes]),
             np.array(low) + room,
             np.array(high) - room,
+            approach_s,
         )
 
 
@@ -113,7 +123,8 @@ class Ocp:
         self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:], 2)
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
-        self._row_scale[self._soft_row :] = np.tile(1 / np.sqrt(state[:n]), 2 * self.intervals)
+        soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
+        self._row_scale[self._soft_row :] = np.tile(soft, 2 * self.intervals)
         columns = sp.diags_array(self.column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
@@ -182,7 +193,7 @@ class Ocp:
         for sign in (1.0, -1.0):
             for i in range(1, count + 1):
                 put(row, state(i), sign * np.eye(n))
-                put(row, state(i) + n, sign * APPROACH_S * np.eye(n))
+                put(row, state(i) + n, sign * np.diag(self.limits.approach_s))
                 put(row, self.slacks.start, -np.eye(n))
                 row += n
         self.rows = row
@@ -246,7 +257,7 @@ class Ocp:
         half = count * n
         soft = high[self._soft_row :]
         soft_min, soft_max = self.soft_limits(start[:n])
-        ahead = x[:, :n] + APPROACH_S * x[:, n:]
+        ahead = x[:, :n] + limits.approach_s * x[:, n:]
         soft[:half] = (soft_max - ahead)[1:].ravel()
         soft[half:] = (ahead - soft_min)[1:].ravel()
 

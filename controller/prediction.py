@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
-from headway.controller.equations import LAW_ROWS, Equations, runge_kutta
+from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta
 from headway.models.codegen import Call, compile_functions
 from headway.models.machine import Machine
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoLaw:
-    """The servos' gains and limits in SI, by axis."""
+    """The servos' configured gains and their limits in SI, by axis."""
 
     kp: Array  # [Nm/rad or N/m]
     kd: Array  # [Nm s/rad or N s/m]
@@ -40,15 +40,20 @@ class ServoLaw:
 
     @property
     def parameters(self) -> Array:
-        """As the equations of motion take them (4n)."""
-        return np.concatenate((self.kp, self.kd + self.emf, self.limit, self.coulomb))
+        """As the equations of motion take them (2n)."""
+        return np.concatenate((self.limit, self.coulomb))
+
+    @property
+    def feedback(self) -> Array:
+        """[Kp, Kd + c] as configured (2n)."""
+        return np.concatenate((self.kp, self.kd + self.emf))
 
     def torque(self, x: Array, tracks: Array) -> Array:
-        """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 3n)."""
-        n = len(self.kp)
-        r, rate, f = tracks[..., :n], tracks[..., n : 2 * n], tracks[..., 2 * n :]
+        """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 5n)."""
+        n = len(self.limit)
+        r, rate, f, kp, damping = (tracks[..., i * n : (i + 1) * n] for i in range(TRACK_ROWS))
         q, v = x[..., :n], x[..., n:]
-        torque: Array = f + self.kp * (r - q) + (self.kd + self.emf) * (rate - v)
+        torque: Array = f + kp * (r - q) + damping * (rate - v)
         return torque
 
 
@@ -56,7 +61,8 @@ class Prediction:
     """Compiled functions of one machine: closed-loop steps for the estimator and the roll-out,
     open-loop linearization for the optimal control problem, and inverse dynamics.
 
-    States are x = [q, v] (2n); `tracks` are [r, r', f] (3n); d is the disturbance torque (n).
+    States are x = [q, v] (2n); `tracks` are [r, r', f, Kp, Kd + c] (5n); d is the disturbance
+    torque (n).
 
         step       x, d, tracks at start, middle and end, dt   to x after, its Jacobian in [x, d]
         rollout    the same for `horizon_knots` steps in a row to each x after
@@ -106,7 +112,9 @@ def _symbols(n: int) -> tuple[Any, ...]:
 
 def _tracks(n: int) -> tuple[Any, Any, Any]:
     """Tracks at a step's start, middle and end."""
-    start, middle, end = (ca.MX.sym(f"tracks_{at}", 3 * n) for at in ("start", "middle", "end"))
+    start, middle, end = (
+        ca.MX.sym(f"tracks_{at}", TRACK_ROWS * n) for at in ("start", "middle", "end")
+    )
     return start, middle, end
 
 

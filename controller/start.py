@@ -1,7 +1,10 @@
 """From power-up to the first plan: the clocks settle, the machine is held where it stands.
 
-Two phases. SYNC sends stamps alone until every device says that its clock has settled. START
-repeats a plan that stands still, to begin some knots ahead, until it has begun on every device.
+Four phases. HELLO asks every device for a session until all have answered in it. SYNC sends stamps
+alone until every device says that its clock has settled. ARM has the devices take the load, with
+the torque that the model says; those that rest from an earlier run are asked to take plans again,
+and those that do not know where they are look for it. START repeats a plan that stands still, to
+begin some knots ahead, until it has begun on every device.
 """
 
 from __future__ import annotations
@@ -11,18 +14,33 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Config
 from headway.controller.estimator import Sample
+from headway.controller.gains import Gains
 from headway.controller.prediction import Prediction
 from headway.controller.tick import DeviceError, Outbox, Phase
 from headway.devices import core
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
+from headway.devices.stop import why
 
 Array = NDArray[np.float64]
 
+HELLO_TICKS = 500  # until every device has answered
 SETTLE_TICKS = 1000  # of synchronization before the first plan, at least; four times that at most
 START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
 STILL_POINTS = 6  # of the first plan
-IDLE = core.STATES.index("IDLE")
+ARM_TICKS = 250  # until a device has answered that it is armed
+STAND_TICKS = 60  # of samples of where the machine stands: a brake gives as the torque comes up
+LATCHED = [core.STATES.index(name) for name in ("FAULT", "ESTOP")]
+IDLE, ARMED, HOLD = (core.STATES.index(name) for name in ("IDLE", "ARMED", "HOLD"))
+
+_NO_SESSION = {
+    "no answer": "no answer: is the board connected, powered and set up?",
+    "ok": "no answer in the session: does another host run it?",
+    "wrong key": "wrong key: the board was set up with another one",
+    "line noise": "line noise: what it answers arrives damaged",
+    "other version": "its firmware speaks another version of the protocol",
+    "stale": "it answers what was asked long ago: restart it",
+}
 
 
 class Start:
@@ -30,28 +48,48 @@ class Start:
     plan begins and what it holds."""
 
     def __init__(
-        self, config: Config, remotes: list[Remote], units: list[AxisUnits], prediction: Prediction
+        self,
+        config: Config,
+        remotes: list[Remote],
+        units: list[AxisUnits],
+        prediction: Prediction,
+        gains: Gains,
     ) -> None:
-        self._joints = [axis.joint for axis in config.machine.axes]
+        self._axes, self._period_us = config.machine.axes, config.device.servo_period_us
+        self._joints = [axis.joint for axis in self._axes]
         self._remotes, self._units, self._prediction = remotes, units, prediction
+        self._gains = gains
         self._margin = config.loop.margin_knots
         self._ticks = 0
-        self.phase = Phase.SYNC
+        self._homing = self._standing = False
+        self._resumed: list[bool] = []
+        self.phase = Phase.HELLO
         self.knot = 0
         self.position = self.torque = np.zeros(len(remotes))
 
     def tick(self, knot: int, samples: list[Sample]) -> Outbox:
         """What to send at a knot. Samples are taken out of the list once they are of no more use.
 
-        Raises DeviceError if a device does not settle, sends no samples or refuses the plan.
+        Raises DeviceError if a device does not answer, does not settle, sends no samples or refuses
+        the plan.
         """
         self._ticks += 1
+        if self.phase is Phase.HELLO:
+            if not self._greeted():
+                return Outbox()
+            self.phase, self._ticks = Phase.SYNC, 0
         if self.phase is Phase.SYNC and not self._settled():
             del samples[: -100 * len(self._remotes)]
             return Outbox()
         if self.phase is Phase.SYNC:
-            self.position = self._standing_at(samples)
-            self.torque = self._prediction.holding(self.position, np.zeros_like(self.position))
+            self._stand(samples)
+            self._arm()
+            self.phase, self._ticks = Phase.ARM, 0
+        if self.phase is Phase.ARM:
+            if not (self._armed() and self._stands(samples)):
+                return Outbox()
+            self._stand(samples)
+            self._take_over()
             self.knot = knot + self._margin + START_KNOTS
             self.phase = Phase.START
         elif knot + self._margin >= self.knot + 1:
@@ -60,10 +98,80 @@ class Start:
         samples.clear()
         return Outbox(self.knot, self._still())
 
+    def _greeted(self) -> bool:
+        """Whether every device has answered in its session."""
+        silent = [
+            f"{joint}: {_NO_SESSION[remote.greeting]}"
+            for joint, remote in zip(self._joints, self._remotes, strict=True)
+            if not remote.established
+        ]
+        if silent and self._ticks > HELLO_TICKS:
+            raise DeviceError("; ".join(silent))
+        return not silent
+
+    def _stand(self, samples: list[Sample]) -> None:
+        """Where the machine stands, and what holds it there. Nothing is known of a machine that has
+        to be homed: then its brakes hold it."""
+        self.position = self._standing_at(samples)
+        self.torque = np.zeros_like(self.position)
+        if all(r.status and r.status.homed for r in self._remotes):
+            self.torque = self._prediction.holding(self.position, self.torque)
+
+    def _take_over(self) -> None:
+        """A machine that rests from an earlier run goes on with the torque that it holds itself by,
+        which knows of loads that the model does not."""
+        for device, (remote, units) in enumerate(zip(self._remotes, self._units, strict=True)):
+            if self._resumed[device]:
+                assert remote.status is not None
+                self.torque[device] = remote.status.holding_tq / units.tq_per_effort
+
+    def _stands(self, samples: list[Sample]) -> bool:
+        """Whether every device knows where it is, and has told it for a while under its torque."""
+        lost = [r for r in self._remotes if not (r.status and r.status.homed)]
+        if lost and not self._homing:
+            self._homing = True
+            for remote in lost:
+                remote.ask("HOME")
+        if lost or not self._standing:  # a search takes its time: the devices end a vain one
+            samples.clear()
+            self._ticks = 0
+        self._standing = not lost
+        return self._ticks >= STAND_TICKS
+
+    def _arm(self) -> None:
+        self._resumed = [bool(r.status and r.status.state == HOLD) for r in self._remotes]
+        for device, (remote, units) in enumerate(zip(self._remotes, self._units, strict=True)):
+            if self._resumed[device]:
+                remote.ask("RESUME")
+            else:
+                remote.ask("ARM", int(units.torque_points(self.torque[device])))
+
+    def _armed(self) -> bool:
+        """Whether every device has taken its load."""
+        for axis, units, remote in zip(self._axes, self._units, self._remotes, strict=True):
+            answer, status = remote.answer(), remote.status
+            if answer is None or status is None:
+                continue
+            if answer != "DONE":
+                raise DeviceError(f"{axis.joint}: the device does not arm: {answer}")
+            if status.state != ARMED:
+                raise DeviceError(f"{axis.joint}: {why(status, axis, units, self._period_us)}")
+        if all(remote.answer() for remote in self._remotes):
+            return True
+        if self._ticks > ARM_TICKS:
+            pairs = zip(self._joints, self._remotes, strict=True)
+            late = [joint for joint, remote in pairs if not remote.answer()]
+            raise DeviceError(f"{', '.join(late)}: not armed within {ARM_TICKS} ticks")
+        return False
+
     def _settled(self) -> bool:
         """Whether every clock has settled."""
-        idle = all(r.status and r.status.state == IDLE for r in self._remotes)
-        if idle:
+        for axis, units, remote in zip(self._axes, self._units, self._remotes, strict=True):
+            if remote.status is not None and remote.status.state in LATCHED:
+                reason = why(remote.status, axis, units, self._period_us)
+                raise DeviceError(f"{axis.joint}: {reason}")
+        ready = all(r.status and r.status.state in (IDLE, HOLD) for r in self._remotes)
+        if ready:
             return self._ticks >= SETTLE_TICKS
         if self._ticks > 4 * SETTLE_TICKS:
             pairs = zip(self._joints, self._remotes, strict=True)
@@ -82,13 +190,17 @@ class Start:
         return np.array(medians)
 
     def _still(self) -> list[Points]:
-        """Points that stand still at the position, with the torque that holds it."""
+        """Points that stand still at the position, with the torque that holds it and the gains."""
+        gains = self._gains.still(self.position, STILL_POINTS)
         return [
             {
                 core.TRACK_POSITION: units.position_points(np.full(STILL_POINTS, position)),
                 core.TRACK_TORQUE: units.torque_points(np.full(STILL_POINTS, torque)),
+                **of_axis,
             }
-            for units, position, torque in zip(self._units, self.position, self.torque, strict=True)
+            for units, position, torque, of_axis in zip(
+                self._units, self.position, self.torque, gains, strict=True
+            )
         ]
 
     def _check_started(self) -> None:

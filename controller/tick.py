@@ -22,9 +22,11 @@ class DeviceError(Exception):
 class Phase(enum.IntEnum):
     """Where the loop is."""
 
-    SYNC = 0  # stamps only, until every clock has settled
-    START = 1  # a plan that holds still is under way
-    RUN = 2
+    HELLO = 0  # every device is asked for a session
+    SYNC = 1  # stamps only, until every clock has settled
+    ARM = 2  # the devices are asked to take the load
+    START = 3  # a plan that holds still is under way
+    RUN = 4
 
 
 @dataclass

@@ -3,9 +3,9 @@
 The position track r continues the committed points and closes in on the plan q*: least squares with
 a penalty on the curvature of the difference, never interpolation (its recursion from the committed
 points diverges). The torque track is f = tau* - Kp (r - q*) - (Kd + c)(r' - q*'), so that f and the
-servo's own feedback sum to the planned torque with feedback around the plan. Both end in three
-equal points: the plan's rest, and the torque that holds it. Spline bases: de Boor, A Practical
-Guide to Splines, chapter IX.
+servo's own feedback sum to the planned torque with feedback around the plan. Gain tracks, where
+there are any, follow the plan. All end in three equal points: the plan's rest, the torque that
+holds it, its gains. Spline bases: de Boor, A Practical Guide to Splines, chapter IX.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Loop
+from headway.controller.equations import TRACK_ROWS
+from headway.controller.gains import Gains
 from headway.controller.mpc import Motion
 from headway.controller.prediction import Prediction
 from headway.devices import core
@@ -84,9 +86,14 @@ class Fit:
 class Encoder:
     """Encodes a motion and rolls the servos' model through what was encoded."""
 
-    def __init__(self, prediction: Prediction, units: list[AxisUnits], loop: Loop) -> None:
-        self._prediction, self._n = prediction, prediction.n
+    def __init__(
+        self, prediction: Prediction, units: list[AxisUnits], gains: Gains, loop: Loop
+    ) -> None:
+        self._prediction, self._n, self._gains = prediction, prediction.n, gains
         self._units, self._h = units, loop.knot_us * 1e-6
+        # Of knots and half-way between them, where a plan's first point is number 0.
+        steps = loop.knot_us // 2 * np.arange(2, 2 * prediction.horizon_knots + 3)
+        self._half_knots_us: NDArray[np.int64] = steps.astype(np.int64)
         self._scale = {
             core.TRACK_POSITION: np.array([u.pq_per_unit for u in units]),
             core.TRACK_TORQUE: np.array([u.tq_per_effort for u in units]),
@@ -109,8 +116,9 @@ class Encoder:
         the torque track gives way by as much, which leaves the motion as it is.
         """
         relief, limit = np.zeros_like(motion.torque), self._prediction.law.limit
+        gains = self.gain_points(motion, remotes, knot)
         for _ in range(RELIEF_ROUNDS):
-            points = self.encode(motion, remotes, knot, relief)
+            points = self.encode(motion, remotes, knot, relief, gains)
             rolled = self.roll_out(points, start, disturbance)
             torque = rolled.torque[FIXED_KNOTS:]
             if np.all(np.abs(torque) <= limit):
@@ -122,24 +130,28 @@ class Encoder:
         return points, rolled
 
     def encode(
-        self, motion: Motion, remotes: list[Remote], knot: int, relief: Array | float = 0.0
+        self,
+        motion: Motion,
+        remotes: list[Remote],
+        knot: int,
+        relief: Array | float = 0.0,
+        gains: list[Points] | None = None,
     ) -> list[Points]:
         """Control points from knot - 1 on, by axis, of a motion that begins at knot `knot`.
 
         The first three points of each track are the committed ones. `relief`: (K+1, n) Nm, taken
-        off the torque track at the knots.
+        off the torque track at the knots; `gains`: what `gain_points` gives, if it is known.
         """
         law = self._prediction.law
+        gains = self.gain_points(motion, remotes, knot) if gains is None else gains
+        feedback = self._feedback(gains)[::2]
+        kp, damping = feedback[:, : self._n], feedback[:, self._n :]
         r = self._position(
             motion.position, self.committed(remotes, core.TRACK_POSITION, knot - 1, 3)
         )
         r = self._quantize(r, core.TRACK_POSITION)
         value, rate = at_knots(r, VALUE), at_knots(r, SLOPE) / self._h
-        f = (
-            motion.torque
-            - law.kp * (value - motion.position)
-            - (law.kd + law.emf) * (rate - motion.velocity)
-        )
+        f = motion.torque - kp * (value - motion.position) - damping * (rate - motion.velocity)
         f = np.clip(f - relief, -law.limit, law.limit)
         f = self._torque(f, self.committed(remotes, core.TRACK_TORQUE, knot - 1, 3))
         f = np.clip(self._quantize(f, core.TRACK_TORQUE), -law.limit, law.limit)
@@ -147,9 +159,29 @@ class Encoder:
             {
                 core.TRACK_POSITION: units.position_points(r[:, axis]),
                 core.TRACK_TORQUE: units.torque_points(f[:, axis]),
+                **gains[axis],
             }
             for axis, units in enumerate(self._units)
         ]
+
+    def gain_points(self, motion: Motion, remotes: list[Remote], knot: int) -> list[Points]:
+        """Control points of the gain tracks along a motion, as `encode` has them."""
+        sinks = self._gains.sinks
+        if not sinks:
+            return [{} for _ in remotes]
+        committed = [r.track(sink).points(knot - 1, 3) for sink in sinks for r in remotes]
+        wanted = self._gains.points(motion.position)
+        return self._gains.bounded(self._position(wanted, np.stack(committed, axis=1)))
+
+    def _feedback(self, points: list[Points]) -> Array:
+        """[Kp, Kd + c] of encoded gain tracks at the knots and half-way between: (2K+1, 2n)."""
+
+        def track(axis: int, sink: int) -> core.Track:
+            track = core.Track()
+            track.write(0, points[axis][sink])
+            return track
+
+        return self._gains.feedback(track, self._half_knots_us)
 
     def _quantize(self, points: Array, sink: int) -> Array:
         quantized: Array = np.rint(points * self._scale[sink]) / self._scale[sink]
@@ -164,14 +196,20 @@ class Encoder:
         return departure
 
     def _track_values(self, points: list[Points]) -> tuple[Array, Array]:
-        """[r, r', f] at the knots (K+1, 3n) and half-way between them (K, 3n)."""
+        """[r, r', f, Kp, Kd + c] at the knots (K+1, 5n) and half-way between them (K, 5n)."""
         h = self._h
         r = np.stack([p[core.TRACK_POSITION] for p in points], axis=1)
         f = np.stack([p[core.TRACK_TORQUE] for p in points], axis=1)
         r, f = r / self._scale[core.TRACK_POSITION], f / self._scale[core.TRACK_TORQUE]
-        knots = np.hstack((at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE)))
-        middle = at_knots(r, MIDDLE), at_knots(r, MIDDLE_SLOPE) / h, at_knots(f, MIDDLE)
-        return knots, np.hstack(middle)
+        gains = self._feedback(points)
+        knots = at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE), gains[::2]
+        middle = (
+            at_knots(r, MIDDLE),
+            at_knots(r, MIDDLE_SLOPE) / h,
+            at_knots(f, MIDDLE),
+            gains[1::2],
+        )
+        return np.hstack(knots), np.hstack(middle)
 
     def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
         """The motion that the servos make of encoded points, from state `start` (2n,)."""
@@ -191,20 +229,26 @@ class Encoder:
 class Commitment:
     """What the devices execute, as far as the host knows, as a function of system time."""
 
-    def __init__(self, remotes: list[Remote], units: list[AxisUnits], loop: Loop) -> None:
-        self._remotes, self._shift = remotes, loop.knot_shift
+    def __init__(
+        self, remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop
+    ) -> None:
+        self._remotes, self._gains, self._shift = remotes, gains, loop.knot_shift
         self._position = 1 / np.array([u.pq_per_unit for u in units])
         self._speed = self._position / (loop.knot_us * 1e-6)
         self._torque = 1 / np.array([u.tq_per_effort for u in units])
 
     def at(self, times_us: NDArray[np.int64]) -> Array:
-        """[r, r', f] at system times (m,): (m, 3n) in rad, rad/s, Nm."""
+        """[r, r', f, Kp, Kd + c] at system times (m,): (m, 5n) in rad, Nm and seconds."""
         n = len(self._remotes)
-        values = np.empty((len(times_us), 3 * n))
+        values = np.empty((len(times_us), TRACK_ROWS * n))
         for axis, remote in enumerate(self._remotes):
             position = remote.track(core.TRACK_POSITION).evaluate(times_us, self._shift)
             torque = remote.track(core.TRACK_TORQUE).evaluate(times_us, self._shift)
             values[:, axis] = position[0] * self._position[axis]
             values[:, n + axis] = position[1] * self._speed[axis]
             values[:, 2 * n + axis] = torque[0] * self._torque[axis]
+        values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
         return values
+
+    def _track(self, axis: int, sink: int) -> core.Track:
+        return self._remotes[axis].track(sink)

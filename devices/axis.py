@@ -1,4 +1,4 @@
-"""An axis' quanta: from SI at the joint to the device's integers, and the device's settings.
+"""An axis' quanta: from SI at the joint to the device's integers, and its limits in them.
 
 Positions are in 1/1024 of an encoder count (pq). A torque quantum (tq; of force on a linear axis)
 is the smallest power of ten of Nm or N with which the limit is at most 2^25 quanta: 1 uNm for
@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 from headway.configs.axis import Axis
 from headway.configs.schema import Device, Loop
 from headway.firmware import _core
+
+GAIN_BITS = 8  # of a gain's control point after the point of the mantissa
+# Knots in which a gain may go from zero to the configured one: its second differences then take
+# three bytes in a frame, at worst.
+GAIN_KNOTS = 16
 
 
 @dataclass(frozen=True)
@@ -63,38 +68,38 @@ def scale_of(factor: float) -> _core.Scale:
     return _core.Scale(mantissa, shift)
 
 
-def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSettings:
-    """What a board is flashed with, but for its key and session.
-
-    Raises ValueError if a limit or a gain does not fit the device's integers.
-    """
-    units = AxisUnits.of(axis, loop)
+def gain_factors(device: Device, units: AxisUnits) -> dict[int, float]:
+    """By sink, what a gain in SI is multiplied by to be the device's, see firmware/servo.h."""
     period_s = device.servo_period_us * 1e-6
     tq_per_pq = units.tq_per_effort / units.pq_per_unit
-    motor, gains = axis.motor, axis.servo
-    servo = _core.ServoSettings()
-    servo.kp_tq = scale_of(gains.kp * tq_per_pq)
-    integral = gains.ki * period_s * tq_per_pq * (1 << _core.INTEGRAL_BITS)
-    servo.ki_tq = scale_of(integral)
-    servo.kd_tq = scale_of(gains.kd / period_s * tq_per_pq)
-    servo.velocity_tq = scale_of(0.0)
-    servo.resistance_mV = scale_of(
-        1e3 * motor.resistance_ohm / motor.constant / units.tq_per_effort
-    )
-    servo.emf_mV = scale_of(1e3 * motor.constant / (units.pq_per_unit * units.knot_s))
-    servo.emf_tq = scale_of(motor.damping / period_s * tq_per_pq)
-    servo.supply_duty = scale_of(32768 / (1e3 * motor.supply_V))
-    servo.torque_limit_tq = round(axis.effort_limit * units.tq_per_effort)
-    servo.integrate_running = device.integrate_while_running
+    return {
+        _core.TRACK_KP: tq_per_pq,
+        _core.TRACK_KI: period_s * tq_per_pq * (1 << _core.INTEGRAL_BITS),
+        _core.TRACK_KD: 1 / period_s * tq_per_pq,
+    }
 
-    settings = _core.DeviceSettings()
-    settings.knot_shift = loop.knot_shift
-    settings.servo_period_us = device.servo_period_us
-    settings.sample_every = device.sample_every
-    settings.servo = servo
-    settings.set_limits(_core.TRACK_POSITION, position_limits(axis, units))
-    settings.set_limits(_core.TRACK_TORQUE, torque_limits(axis, units))
-    return settings
+
+def gain_scales(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core.Scale]:
+    """By sink, the configured gain as the device has it. A gain track's control points are such a
+    scale's mantissa, Q8.
+
+    Raises ValueError if one does not fit the device's integers.
+    """
+    factors, servo = gain_factors(device, units), axis.servo
+    gains = {_core.TRACK_KP: servo.kp, _core.TRACK_KI: servo.ki, _core.TRACK_KD: servo.kd}
+    return {sink: scale_of(gain * factors[sink]) for sink, gain in gains.items()}
+
+
+def gain_limits(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core.GateLimits]:
+    """By sink, the gate's limits on a gain's control points: from zero to the configured gain, all
+    the way in GAIN_KNOTS at the fastest. As both differences have the same limit, a gain track may
+    stop anywhere."""
+    limits = {}
+    for sink, scale in gain_scales(axis, device, units).items():
+        top = scale.mantissa << GAIN_BITS
+        step = max(1, top // GAIN_KNOTS)
+        limits[sink] = _core.GateLimits(0, top, step, step)
+    return limits
 
 
 def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
@@ -111,6 +116,7 @@ def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
         ("position_max", high, position, -_core.POINT_MAX, _core.POINT_MAX),
         ("velocity_limit", v, speed, 1, _core.DIFFERENCE_MAX),
         ("acceleration_limit", a, acceleration, 1, 2**31 - 1),
+        ("stop_deceleration", axis.deceleration, acceleration, 1, 2 * _core.DIFFERENCE_MAX),
     ):
         if not least <= value * quanta <= most:
             raise ValueError(
@@ -123,6 +129,7 @@ def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
         math.floor(high * position),
         math.floor(v * speed),
         math.floor(a * acceleration),
+        math.floor(axis.deceleration * acceleration),
     )
 
 

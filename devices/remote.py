@@ -15,10 +15,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.devices.session import Session
 from headway.firmware import _core
 
-SINKS = (_core.TRACK_POSITION, _core.TRACK_TORQUE)
+GAIN_SINKS = (_core.TRACK_KP, _core.TRACK_KI, _core.TRACK_KD)
+SINKS = (_core.TRACK_POSITION, _core.TRACK_TORQUE, *GAIN_SINKS)
 Points = dict[int, NDArray[np.int32]]
+
+
+@dataclass(frozen=True)
+class Command:
+    """Something asked of the device besides plans, until it answers."""
+
+    number: int
+    kind: int
+    argument: int
+    epoch: int
 
 
 @dataclass(frozen=True)
@@ -34,10 +46,11 @@ class Plan:
 class Remote:
     """One device at the far end of a link."""
 
-    def __init__(self, key: bytes, session: int, patience_us: int) -> None:
+    def __init__(self, session: Session, patience_us: int) -> None:
         """`patience_us`: what has no answer after this long counts as lost."""
         self._patience_us = patience_us
-        self._session = _core.Session(key, session)
+        self._session = session
+        self.greeting = "no answer"  # to HELLO, until there is a session; else why there is none
         self._held = {sink: _core.Track() for sink in SINKS}
         self._presumed: dict[int, _core.Track] = {}
         self._pending: list[Plan] = []
@@ -45,6 +58,9 @@ class Remote:
         # Send and receive times of statuses, each echoed once and in order: to echo only the
         # newest would drop the slow ones and bias the devices' clocks.
         self._echoes: deque[tuple[int, int]] = deque(maxlen=8)
+        self._command: Command | None = None
+        self._commands = 0
+        self.epoch = 0  # of the plans that are sent
         self.number = 0
         self.status: _core.Status | None = None
         self.frames_bad = 0
@@ -53,17 +69,25 @@ class Remote:
         """Opens a packet; returns the status, or None for what is not one (counted)."""
         opened = self._session.open(packet)
         status = None
+        if isinstance(opened, str) and not self._session.established:
+            verdict = self._session.welcome(packet)
+            if verdict != "another frame":  # as of a session that an earlier host has had
+                self.greeting = verdict
+            return None
         if isinstance(opened, tuple) and opened[0] == _core.FRAME_STATUS:
             status = _core.status_decode(opened[1])
         if status is None:
             self.frames_bad += 1
             return None
-        self.status = status
-        self._echoes.append((status.sent_us, received_us))
-        self._settle(status)
+        if not self._session.overtaken:  # else only its samples are news
+            self._echoes.append((status.sent_us, received_us))
+            self.status = status
+            self._settle(status)
         return status
 
     def _settle(self, status: _core.Status) -> None:
+        if self._command and status.command_number >= self._command.number:
+            self._command = None
         while self._pending and self._pending[0].number <= status.plan_seen:
             plan = self._pending.pop(0)
             behind = status.plan_seen - plan.number
@@ -76,9 +100,42 @@ class Remote:
             self._doomed = self.number
         self._presumed = {}
 
+    def ask(self, kind: str, argument: int = 0) -> None:
+        """Has a command (one of COMMANDS) sent until the device has answered it. To arm and to
+        resume begin a new epoch of plans."""
+        if kind in ("ARM", "RESUME"):
+            known = self.epoch if self.status is None else max(self.epoch, self.status.epoch)
+            self.epoch = known % 0xFFFF + 1
+            self._held = {sink: _core.Track() for sink in SINKS}
+            self._pending.clear()
+            self._presumed = {}
+        self._commands += 1
+        number = _core.COMMANDS.index(kind)
+        self._command = Command(self._commands, number, argument, self.epoch)
+
+    def answer(self) -> str | None:
+        """The result of the last command, by name; None while there is none."""
+        if self._command or self.status is None or self.status.command_number == 0:
+            return None
+        return _core.COMMAND_RESULTS[self.status.command_result]
+
+    def command_packet(self) -> bytes | None:
+        """Seals the command that waits for its answer, if there is one."""
+        command = self._command
+        if command is None:
+            return None
+        payload = _core.command_encode(
+            command.number, command.kind, command.argument, command.epoch
+        )
+        return self._session.seal(_core.FRAME_COMMAND, payload)
+
+    def overdue(self, now_us: int) -> bool:
+        """Whether the next status is."""
+        return self.status is None or now_us - self.status.sent_us > self._patience_us
+
     def silent(self, now_us: int) -> bool:
         """Whether the last status, or the answer to a plan, is overdue."""
-        if self.status is None or now_us - self.status.sent_us > self._patience_us:
+        if self.overdue(now_us):
             return True
         return bool(self._pending) and now_us - self._pending[0].sent_us > self._patience_us
 
@@ -100,11 +157,23 @@ class Remote:
         """Seals a plan and remembers it as under way."""
         self.number += 1
         plan = Plan(self.number, sent_us, first_knot, points)
-        payload = _core.plan_encode(self._stamps(sent_us), self.number, first_knot, points)
+        payload = _core.plan_encode(
+            self._stamps(sent_us), self.number, self.epoch, first_knot, points
+        )
         self._pending.append(plan)
         for sink, track in self._presumed.items():
             track.write(first_knot, points[sink])
         return self._session.seal(_core.FRAME_PLAN, payload)
+
+    @property
+    def established(self) -> bool:
+        """Whether there is a session, and the device has answered in it."""
+        return self._session.established
+
+    def hello_packets(self, sent_us: int) -> list[bytes]:
+        """What asks for a session and, once the device has answered, proves that it is the host."""
+        proof = [self.sync_packet(sent_us)] if self._session.welcomed else []
+        return [self._session.hello(), *proof]
 
     def sync_packet(self, sent_us: int) -> bytes:
         """Seals stamps alone."""

@@ -6,6 +6,16 @@ from numpy.typing import NDArray
 FRAME_SYNC: int
 FRAME_PLAN: int
 FRAME_STATUS: int
+FRAME_COMMAND: int
+FRAME_FAULTS: int
+FRAME_HELLO: int
+FRAME_WELCOME: int
+FRAME_GROUP: int
+FRAME_SETTINGS: int
+FRAME_WINDOW: int
+OFFER_PAUSE_US: int
+OFFER_VALID_US: int
+NAME_MAX: int
 TRACK_POSITION: int
 TRACK_TORQUE: int
 TRACK_KP: int
@@ -23,31 +33,98 @@ TORQUE_MAX: int
 DUTY_MAX: int
 GATE_RESULTS: list[str]
 STATES: list[str]
+EVENTS: list[str]
+REASONS: list[str]
+RESPONSES: list[str]
+COMMANDS: list[str]
+COMMAND_RESULTS: list[str]
+GAP_POLICIES: list[str]
+HOME_METHODS: list[str]
 
 def siphash24(key: bytes, prefix: int, message: bytes) -> int: ...
 def cobs_encode(packet: bytes, /) -> bytes: ...
 def cobs_decode(packet: bytes, /) -> bytes | None: ...
 
 class Session:
-    """One end of an authenticated session."""
+    """One end of an authenticated session, or of a group."""
 
     sent: int
     received: int
-    def __init__(self, key: bytes, number: int, at_device: bool = False) -> None: ...
-    def seal(self, type: int, payload: bytes) -> bytes: ...
+    def __init__(
+        self, send_key: bytes, receive_key: bytes, number: int, at_device: bool = False
+    ) -> None: ...
+    @property
+    def number(self) -> int: ...
+    @property
+    def send_key(self) -> bytes: ...
+    @property
+    def receive_key(self) -> bytes: ...
+    def seal(self, type: int, payload: bytes) -> bytes:
+        """A packet. Raises ValueError for a payload of more than 1000 bytes, OverflowError when the
+        counters are used up."""
+
+    def seal_group(self, group: Session) -> bytes:
+        """A packet that gives the device the group's key, masked."""
+
     def open(self, packet: bytes) -> tuple[int, bytes] | str:
         """The frame's type and payload, or the name of the error."""
+
+def crc_of(bytes: bytes, /) -> int: ...
+def hello(host_nonce: bytes) -> bytes:
+    """The packet of a HELLO with a nonce of 16 bytes, see handshake.h."""
+
+def welcome(key: bytes, host_nonce: bytes, device_nonce: bytes) -> bytes:
+    """The packet of a device's answer."""
+
+def welcome_open(
+    key: bytes, host_nonce: bytes, packet: bytes
+) -> tuple[str, bytes | None, Session | None]:
+    """A host's verdict on an answer: "ok" with the device's nonce and the session, or why not."""
 
 def plan_encode(
     stamps_us: tuple[int, int, int],
     number: int,
+    epoch: int,
     first_knot: int,
     tracks: dict[int, NDArray[np.int32]],
 ) -> bytes: ...
 def plan_decode(
     payload: bytes,
-) -> tuple[tuple[int, int, int], int, int, dict[int, NDArray[np.int32]]] | None:
-    """Stamps, number, first knot and points by sink; None if malformed."""
+) -> tuple[tuple[int, int, int], int, int, int, dict[int, NDArray[np.int32]]] | None:
+    """Stamps, number, epoch, first knot and points by sink; None if malformed."""
+
+def command_encode(number: int, kind: int, argument: int = 0, epoch: int = 0) -> bytes: ...
+def command_decode(payload: bytes, /) -> tuple[int, int, int, int] | None:
+    """Number, kind, argument and epoch; None if malformed."""
+
+def faults_decode(payload: bytes, /) -> list[Fault] | None:
+    """The fault log, oldest first; None if malformed."""
+
+def next_state(state: int, event: int, /) -> int:
+    """The state after an event, see states.c."""
+
+def gap_policy_valid(sink: int, policy: int, carries_gravity: bool, /) -> bool: ...
+def fault_response(reason: int, /) -> int: ...
+
+class Fault:
+    """Why a device stopped, see fault.h."""
+
+    @property
+    def reason(self) -> int: ...
+    @property
+    def state(self) -> int: ...
+    @property
+    def boots(self) -> int: ...
+    @property
+    def time_us(self) -> int: ...
+    @property
+    def value(self) -> int: ...
+    @property
+    def limit(self) -> int: ...
+    @property
+    def position_pq(self) -> int: ...
+    @property
+    def torque_tq(self) -> int: ...
 
 def sync_encode(stamps_us: tuple[int, int, int]) -> bytes: ...
 def status_decode(payload: bytes, /) -> Status | None: ...
@@ -63,6 +140,28 @@ class Status:
     def refusal(self) -> int: ...
     @property
     def synced(self) -> bool: ...
+    @property
+    def homed(self) -> bool: ...
+    @property
+    def released(self) -> bool: ...
+    @property
+    def grouped(self) -> bool: ...
+    @property
+    def epoch(self) -> int: ...
+    @property
+    def command_number(self) -> int: ...
+    @property
+    def command_result(self) -> int: ...
+    @property
+    def holding_tq(self) -> int: ...
+    @property
+    def fault(self) -> Fault: ...
+    @property
+    def reason(self) -> int: ...
+    @property
+    def reason_value(self) -> int: ...
+    @property
+    def reason_limit(self) -> int: ...
     @property
     def plan_seen(self) -> int: ...
     @property
@@ -105,7 +204,11 @@ class GateLimits:
         point_max: int,
         difference_max: int,
         second_difference_max: int,
+        stop_difference: int = 0,
+        continuous: bool = False,
     ) -> None: ...
+    @property
+    def continuous(self) -> bool: ...
     @property
     def point_min(self) -> int: ...
     @property
@@ -114,6 +217,8 @@ class GateLimits:
     def difference_max(self) -> int: ...
     @property
     def second_difference_max(self) -> int: ...
+    @property
+    def stop_difference(self) -> int: ...
 
 class ServoSettings:
     """See servo.h."""
@@ -130,18 +235,74 @@ class ServoSettings:
     integrate_running: bool
     def __init__(self) -> None: ...
 
+class MonitorSettings:
+    """See monitor.h."""
+
+    following_pq: int
+    following_periods: int
+    speed_pq: int
+    low_pq: int
+    high_pq: int
+    deceleration_q16: int
+    torque_periods: int
+    overload: int
+    heating_q16: int
+    rise_q16: int
+    stuck_pq: int
+    stuck_periods: int
+    spike_counts: int
+    supply_min_mV: int
+    supply_max_mV: int
+    chopper_mV: int
+    late_us: int
+    bounded: bool
+    load_q8: Scale
+    def __init__(self) -> None: ...
+
+class HomeSettings:
+    """See home.h."""
+
+    method: int
+    mark_count: int
+    speed_q16: int
+    acceleration_q16: int
+    torque_tq: int
+    way_counts: int
+    still_periods: int
+    backwards: bool
+    def __init__(self) -> None: ...
+
 class DeviceSettings:
-    """What a board is flashed with, see device.h."""
+    """What a board is flashed with, see settings.h."""
 
     key: bytes
-    session: int
     knot_shift: int
     servo_period_us: int
     sample_every: int
+    name: str
+    brake_periods: int
+    stop_us: int
+    sync_lost_us: int
+    torque_step_tq: int
+    knot_periods: Scale
+    offset_count: int
+    carries_gravity: bool
     servo: ServoSettings
+    monitor: MonitorSettings
+    home: HomeSettings
+    @property
+    def valid(self) -> bool: ...
     def __init__(self) -> None: ...
     def set_limits(self, sink: int, limits: GateLimits, /) -> None: ...
     def limits(self, sink: int, /) -> GateLimits: ...
+    def set_gap_policy(self, sink: int, policy: int, /) -> None: ...
+    def gap_policy(self, sink: int, /) -> int: ...
+    def encode(self, with_key: bool = False) -> bytes:
+        """As in a SETTINGS frame; with the key as in memory."""
+
+    @staticmethod
+    def decode(bytes: bytes, with_key: bool = False) -> DeviceSettings | None:
+        """None if they are no settings. Without a key in the bytes it is zero."""
 
 class Track:
     """A uniform cubic B-spline on the knot grid."""
@@ -197,3 +358,59 @@ class Clock:
     def advance(self, count_us: int, /) -> None: ...
     def at(self, count_us: int, /) -> int: ...
     def sample(self, offset_us: int, /) -> None: ...
+    def restart(self) -> None: ...
+
+class Observation:
+    """What one servo period found, see monitor.h."""
+
+    count: int
+    position_pq: int
+    setpoint_pq: int
+    error_pq: int
+    torque_tq: int
+    torque_limit_tq: int
+    feedback_tq: int
+    clipped: bool
+    supply_mV: int
+    late_us: int
+    power: bool
+    driven: bool
+    bounded: bool
+    seeks_stop: bool
+    def __init__(self) -> None: ...
+
+class Monitor:
+    """The monitor's state; step() is one servo period and tells the breach."""
+
+    def __init__(self) -> None: ...
+    @property
+    def chopper(self) -> bool: ...
+    @property
+    def rise_q16(self) -> int: ...
+    @property
+    def overload(self) -> int: ...
+    @property
+    def speed_pq(self) -> int: ...
+    def begin(self) -> None: ...
+    def step(self, settings: MonitorSettings, seen: Observation) -> tuple[int, int, int]:
+        """Reason, value and limit; reason 0 if there is no breach."""
+
+class Ramp:
+    """The stop ramp; step() is one servo period."""
+
+    def __init__(
+        self, position_pq: int, velocity_pq: int, torque_tq: int, end_torque_tq: int
+    ) -> None: ...
+    @property
+    def position_pq(self) -> int: ...
+    @property
+    def velocity_pq(self) -> int: ...
+    @property
+    def position_q16(self) -> int: ...
+    @property
+    def velocity_q16(self) -> int: ...
+    @property
+    def torque_tq(self) -> int: ...
+    @property
+    def resting(self) -> bool: ...
+    def step(self, deceleration_q16: int, torque_step_tq: int, /) -> None: ...

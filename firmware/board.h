@@ -7,14 +7,41 @@
 
 struct board;
 
+// What lies in non-volatile memory. Two places for each: one stays good while the other is written.
+enum board_record {
+    RECORD_SETTINGS_A,
+    RECORD_SETTINGS_B,
+    RECORD_BOOTS_A,
+    RECORD_BOOTS_B,
+    RECORD_FAULTS_A,
+    RECORD_FAULTS_B,
+    RECORDS,
+};
+#define BOARD_RECORD_MAX 512 // bytes
+
 uint32_t board_count_us(const struct board *board); // free-running microseconds, wraps
 int32_t board_encoder_count(const struct board *board);
+void board_set_power(struct board *board, bool on);         // the bridge; off: no current flows
 void board_set_duty(struct board *board, int32_t duty_q15); // PWM duty, +-32767 / 32768
 void board_set_brake(struct board *board, bool engaged);
+
+bool board_stop_line(const struct board *board);   // true: the emergency line is open
+bool board_home_switch(const struct board *board); // true: on the switch
+// True once after each index pulse; `count` is the encoder's at the pulse.
+bool board_index(struct board *board, int32_t *count);
+int32_t board_supply_mV(const struct board *board);
+void board_set_chopper(struct board *board, bool on); // burns what the motor feeds back
 
 // The next received packet (COBS, without the ending zero) and the count at which it arrived, as
 // its interrupt stamped it. Returns its size, 0 if there is none.
 int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, uint32_t *count_us);
 void board_send(struct board *board, const uint8_t *bytes, int32_t size);
+
+// Non-volatile memory. `board_load` returns the size, 0 if nothing was saved. A save that the power
+// cuts short may leave anything in its own record, and changes no other.
+int32_t board_load(const struct board *board, enum board_record record, uint8_t *bytes,
+                   int32_t capacity);
+void board_save(struct board *board, enum board_record record, const uint8_t *bytes, int32_t size);
+uint64_t board_random(struct board *board); // of a ring oscillator: not to be relied on alone
 
 #endif

@@ -28,17 +28,13 @@ static void step(struct headway_clock *clock, int64_t offset_us) {
     clock->stepped_us = clock->system_us;
 }
 
-static int32_t clamp64(int64_t value, int32_t limit) {
-    return value > limit ? limit : value < -limit ? -limit : (int32_t)value;
-}
-
 static void settle(struct headway_clock *clock, int64_t offset_us) {
     if (clock->settle_count == 0) { // far off: take the first sample whole, then average the rest
         step(clock, offset_us);
         clock->settle_count = 1;
         return;
     }
-    clock->settle_sum_us += clamp64(offset_us, 1 << 20);
+    clock->settle_sum_us += fixed_clamp64(offset_us, 1 << 20);
     if (++clock->settle_count > CLOCK_SETTLE_SAMPLES) {
         step(clock, clock->settle_sum_us / CLOCK_SETTLE_SAMPLES);
         clock->synced = true;
@@ -50,8 +46,14 @@ void clock_sample(struct headway_clock *clock, int64_t offset_us) {
         settle(clock, offset_us);
         return;
     }
-    int32_t offset = clamp64(offset_us, 4096);
+    int32_t offset = fixed_clamp64(offset_us, 4096);
     clock->pending_q16 = offset * (1 << (16 - CLOCK_PHASE_SHIFT));
     clock->skew_q32 =
         fixed_clamp(clock->skew_q32 + offset * (1 << CLOCK_SKEW_SHIFT_Q32), CLOCK_SKEW_MAX_Q32);
+}
+
+void clock_restart(struct headway_clock *clock) {
+    clock->synced = false;
+    clock->settle_count = 0;
+    clock->settle_sum_us = 0;
 }

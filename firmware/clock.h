@@ -39,4 +39,7 @@ int64_t clock_at(const struct headway_clock *clock, uint32_t count_us);
 // One offset sample, remote minus local.
 void clock_sample(struct headway_clock *clock, int64_t offset_us);
 
+// Settles anew, with steps.
+void clock_restart(struct headway_clock *clock);
+
 #endif

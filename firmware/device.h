@@ -1,63 +1,82 @@
 // The device: everything one board knows and does. The caller owns the struct; there is no other
 // state, no pointer in it and no allocation.
+//
+// What arrives is in inbox.c, from whom in admit.c, what it leads to in happen.c (with the table of
+// states.c), what comes out in drive.c and outbox.c.
 #ifndef HEADWAY_DEVICE_H
 #define HEADWAY_DEVICE_H
 
 #include "board.h"
 #include "clock.h"
+#include "fault.h"
 #include "frame.h"
-#include "gate.h"
 #include "history.h"
+#include "home.h"
+#include "monitor.h"
+#include "offer.h"
 #include "plan.h"
+#include "ramp.h"
 #include "servo.h"
+#include "settings.h"
+#include "states.h"
 #include "status.h"
 #include "track.h"
 
 #define DEVICE_COAST_KNOTS 5       // without an accepted plan for longer, RUNNING becomes COAST
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
-
-enum device_state {
-    DEVICE_UNSYNCED, // the only state in which the clock may step
-    DEVICE_IDLE,     // synced, output off, brake on
-    DEVICE_RUNNING,  // executes its tracks
-    DEVICE_COAST,    // no plan accepted for a while: the last one runs on to its rest
-    DEVICE_HOLD,     // at rest: keeps position and last torque, integrator on, takes no plan
-};
-
-// What is set before power-up; constant while the device runs.
-struct device_settings {
-    uint8_t key[SIPHASH_KEY_BYTES];
-    uint32_t session;
-    uint8_t knot_shift; // knot interval = 2^knot_shift us, 9 .. 15
-    uint16_t servo_period_us;
-    uint16_t sample_every; // an encoder sample each so many servo periods
-    struct gate_limits limits[TRACK_COUNT];
-    struct servo_settings servo;
-};
+#define DEVICE_REST_PQ (1 << 10)   // at rest: measured speed below a count per servo period
 
 struct device {
     struct device_settings settings;
     enum device_state state;
-    bool configured;
+    bool configured; // else it has no settings and no key, and does nothing
     struct session session;
+    struct session group; // of all devices of the machine
+    struct offer offer;
     struct headway_clock clock;
+    int64_t sampled_us; // system time of the clock's last sample
     struct track tracks[TRACK_COUNT];
+    struct setpoint setpoint; // of the last one: position, velocity and torque
     struct servo servo;
+    struct monitor monitor;
+    struct ramp ramp;
+    struct home home;
     struct history history;
+    struct fault_log faults;
+    bool faults_unsaved;
+    uint32_t boots;
     uint32_t next_servo_us; // local count of the next servo period
     uint32_t periods;
     int64_t status_knot;   // knot of the last status sent
     int64_t accepted_knot; // knot in which the last plan was accepted
     int64_t start_knot;    // of the first plan
-    int32_t encoder_count;
+    int32_t encoder_count; // as the board has it
+    int32_t offset_count;  // what it lacks to the axis' position
+    int32_t position_pq;   // measured
+    int32_t hold_pq, hold_tq;
+    bool power, brake;
+    uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
+    bool trusted;           // encoder and servo, to ramp down by
+    uint32_t stop_count_us; // count at the fault or emergency stop
     struct status status;
     struct plan plan; // the one being decoded
 };
 
-void device_init(struct device *device, const struct device_settings *settings, uint32_t count_us);
+// Begins anew from what the board remembers. Without good settings, or without a boot number that
+// has never been, the device is in FAULT and answers nobody: it is set up over the programmer.
+void device_boot(struct device *device, struct board *board, uint32_t count_us);
+
+// Takes other settings. Nothing may be powered.
+void device_configure(struct device *device, const struct device_settings *settings);
 
 // To be called at least every 250 us: takes what arrived, runs the servo when it is due.
 void device_poll(struct device *device, struct board *board);
+
+// The axis' position, from the encoder's last count and the offset.
+void device_locate(struct device *device);
+
+int64_t device_knot_at(const struct device *device, int64_t time_us);
+bool device_at_rest(const struct device *device);
 
 #endif

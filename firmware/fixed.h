@@ -17,6 +17,20 @@ static inline int32_t fixed_clamp(int32_t value, int32_t limit) {
     return value > limit ? limit : value < -limit ? -limit : value;
 }
 
+static inline int32_t fixed_clamp64(int64_t value, int32_t limit) {
+    return value > limit ? limit : value < -limit ? -limit : (int32_t)value;
+}
+
+// a - b modulo 2^32: also between positions of an axis that turns for ever.
+static inline int32_t fixed_difference(int32_t a, int32_t b) {
+    return (int32_t)((uint32_t)a - (uint32_t)b);
+}
+
+// a + b modulo 2^32.
+static inline int32_t fixed_sum(int32_t a, int32_t b) {
+    return (int32_t)((uint32_t)a + (uint32_t)b);
+}
+
 // a * b / 2^16, rounded down; exact in 48 bits, never overflows.
 static inline int32_t fixed_mul_q16(int32_t a, uint16_t b) {
     int32_t high = (a >> 16) * (int32_t)b;

@@ -3,12 +3,14 @@
 //     byte   0        1     2..5      6..11     12..n-9   n-8..n-1
 //            version  type  session   counter   payload   SipHash-2-4 tag
 //
-// The tag covers the direction and everything before it, so a frame cannot be reflected to its
-// sender. All numbers are little-endian. On a byte stream a frame is COBS-encoded and ended by zero.
+// The tag covers the direction and everything before it, and each direction has a key of its own, so
+// a frame cannot be reflected to its sender. All numbers are little-endian. On a byte stream a frame
+// is COBS-encoded and ended by zero. HELLO and WELCOME alone are made otherwise (handshake.h).
 #ifndef HEADWAY_FRAME_H
 #define HEADWAY_FRAME_H
 
 #include "siphash.h"
+#include <stdbool.h>
 #include <stdint.h>
 
 #define FRAME_VERSION 1
@@ -16,33 +18,57 @@
 #define FRAME_TAG_BYTES 8
 #define FRAME_PAYLOAD_MAX 1000
 #define FRAME_MAX (FRAME_HEADER_BYTES + FRAME_PAYLOAD_MAX + FRAME_TAG_BYTES)
+#define FRAME_COUNTER_MAX ((1ULL << 48) - 1)
+#define FRAME_WINDOW 64 // counters: a frame that so many have overtaken is too old
 
-enum frame_direction { TO_DEVICE, TO_HOST };
-enum frame_type { FRAME_SYNC = 1, FRAME_PLAN = 2, FRAME_STATUS = 3 };
+enum frame_type {
+    FRAME_SYNC = 1,
+    FRAME_PLAN,
+    FRAME_STATUS,
+    FRAME_COMMAND,
+    FRAME_FAULTS, // the fault log, on demand
+    FRAME_HELLO,
+    FRAME_WELCOME,
+    FRAME_GROUP,    // the key of a machine's group, see group.h
+    FRAME_SETTINGS, // from the host: new ones, or none to ask; from the device: its own
+};
 enum frame_error {
     FRAME_OK,
     FRAME_BAD_LENGTH,
     FRAME_BAD_VERSION,
     FRAME_BAD_SESSION,
-    FRAME_REPLAYED, // counter not above the last accepted one
+    FRAME_REPLAYED, // accepted before, or too old to tell
     FRAME_BAD_TAG,  // line noise, a wrong key or a forgery
 };
 
-// One end of a session. Counters only go up; each end has its own direction.
+// What a session key hashes begins with one of these: no hash can stand for another kind's.
+enum frame_prefix { TO_DEVICE, TO_HOST, GROUP_PAD_LOW, GROUP_PAD_HIGH };
+
+// One end of a session. Counters only go up, and never again from the start.
 struct session {
-    uint8_t key[SIPHASH_KEY_BYTES];
+    bool begun;             // else it seals and opens nothing
+    uint8_t send_direction; // TO_DEVICE or TO_HOST
+    uint8_t send_key[SIPHASH_KEY_BYTES], receive_key[SIPHASH_KEY_BYTES];
     uint32_t number;
-    uint8_t send_direction; // enum frame_direction
-    uint64_t sent;          // counter of the last frame sent
-    uint64_t received;      // counter of the last frame accepted
+    uint64_t sent;     // counter of the last frame sent
+    uint64_t received; // highest counter accepted
+    uint64_t window;   // bit i: the counter `received` - i is not to be accepted again
 };
 
-// Seals `frame`, whose payload is already in place, and returns the frame's size.
+void session_begin(struct session *session, uint32_t number, enum frame_prefix send_direction,
+                   const uint8_t send_key[SIPHASH_KEY_BYTES],
+                   const uint8_t receive_key[SIPHASH_KEY_BYTES]);
+
+// Seals `frame`, whose payload is already in place, and returns the frame's size. Returns -1 if the
+// session has not begun, or has used up its counters.
 int32_t frame_seal(struct session *session, enum frame_type type, uint8_t *frame,
                    int32_t payload_size);
 
 // Checks length, version, session and counter before hashing, so that junk stays cheap. Only an
-// authentic frame moves the counter. The payload is frame + FRAME_HEADER_BYTES.
+// authentic frame moves the window. The payload is frame + FRAME_HEADER_BYTES.
 enum frame_error frame_open(struct session *session, const uint8_t *frame, int32_t size);
+
+// The counter of a frame that was opened.
+uint64_t frame_counter(const uint8_t *frame);
 
 #endif

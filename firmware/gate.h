@@ -3,7 +3,8 @@
 // The curve stays inside the hull of its control points, its speed inside the hull of their first
 // differences and its acceleration inside the hull of their second ones (de Boor), so bounds on the
 // points bound the motion. The tests run in an order in which nothing can overflow: range first,
-// then differences, then differences of differences.
+// then differences, then differences of differences, then the room to stop: wherever the axis is, it
+// can come to rest before its limit at the stop ramp's deceleration.
 #ifndef HEADWAY_GATE_H
 #define HEADWAY_GATE_H
 
@@ -16,9 +17,11 @@
 
 // Limits of one sink's control points. Differences are per knot interval.
 struct gate_limits {
+    bool continuous; // no range: points are positions modulo 2^32
     int32_t point_min, point_max;
     int32_t difference_max;        // 0 < difference_max <= GATE_DIFFERENCE_MAX
     int32_t second_difference_max; // > 0
+    int32_t stop_difference;       // second difference of the stop ramp, 0: no room is asked for
 };
 
 enum gate_result {
@@ -35,7 +38,12 @@ enum gate_result {
     GATE_STALE,        // sent too long ago, or plan number not above the last accepted one
     GATE_STATE,        // the device takes no plan in its state
     GATE_SINK,         // a track without limits here, or no position track
+    GATE_ROOM,         // too fast to stop before the limit
+    GATE_EPOCH,        // of another epoch than the device's
 };
+
+// Whether limits are such that the gate's arithmetic cannot overflow.
+bool gate_limits_valid(const struct gate_limits *limits);
 
 // One track of a plan against the track that is stored. `knot` is the knot whose interval runs now.
 enum gate_result gate_check_track(const struct gate_limits *limits, const struct track *stored,

@@ -13,7 +13,11 @@
 
 extern "C" {
 #include "cobs.h"
+#include "command.h"
+#include "crc.h"
 #include "device.h"
+#include "gap.h"
+#include "group.h"
 }
 
 namespace nb = nanobind;
@@ -41,6 +45,23 @@ static void copy_key(uint8_t *key, const nb::bytes &bytes) {
     if (bytes.size() != SIPHASH_KEY_BYTES)
         throw std::invalid_argument("a key has 16 bytes");
     std::memcpy(key, bytes.c_str(), SIPHASH_KEY_BYTES);
+}
+
+static nb::bytes key_bytes(const uint8_t *key) {
+    return nb::bytes((const char *)key, SIPHASH_KEY_BYTES);
+}
+
+static void copy_nonce(uint8_t *nonce, const nb::bytes &bytes) {
+    if (bytes.size() != NONCE_BYTES)
+        throw std::invalid_argument("a nonce has 16 bytes");
+    std::memcpy(nonce, bytes.c_str(), NONCE_BYTES);
+}
+
+static nb::bytes pack(const std::vector<uint8_t> &frame, int32_t size) {
+    if (size < 0)
+        throw std::overflow_error("the session has no counters left: begin another");
+    std::vector<uint8_t> packet(COBS_BOUND(FRAME_MAX));
+    return to_bytes(packet, cobs_encode(frame.data(), size, packet.data()));
 }
 
 static stamps make_stamps(const std::tuple<int64_t, int64_t, int64_t> &t) {
@@ -73,27 +94,45 @@ static void bind_codec(nb::module_ &m) {
     nb::class_<session>(m, "Session")
         .def(
             "__init__",
-            [](session *s, nb::bytes key, uint32_t number, bool at_device) {
+            [](session *s, nb::bytes send_key, nb::bytes receive_key, uint32_t number,
+               bool at_device) {
+                uint8_t send[SIPHASH_KEY_BYTES], receive[SIPHASH_KEY_BYTES];
+                copy_key(send, send_key);
+                copy_key(receive, receive_key);
                 new (s) session{};
-                copy_key(s->key, key);
-                s->number = number;
-                s->send_direction = at_device ? TO_HOST : TO_DEVICE;
+                session_begin(s, number, at_device ? TO_HOST : TO_DEVICE, send, receive);
             },
-            "key"_a, "number"_a, "at_device"_a = false)
+            "send_key"_a, "receive_key"_a, "number"_a, "at_device"_a = false)
+        .def_ro("number", &session::number)
         .def_rw("sent", &session::sent)
-        .def_rw("received", &session::received)
+        .def_prop_rw(
+            "received", [](const session &s) { return s.received; },
+            [](session &s, uint64_t counter) {
+                s.received = counter;
+                s.window = ~0ULL; // as if all up to it had been
+            })
+        .def_prop_ro("send_key", [](const session &s) { return key_bytes(s.send_key); })
+        .def_prop_ro("receive_key", [](const session &s) { return key_bytes(s.receive_key); })
         .def(
             "seal",
             [](session &s, int type, nb::bytes payload) {
                 if (payload.size() > FRAME_PAYLOAD_MAX)
                     throw std::invalid_argument("payload too long for a frame");
-                std::vector<uint8_t> frame(FRAME_MAX), packet(COBS_BOUND(FRAME_MAX));
+                std::vector<uint8_t> frame(FRAME_MAX);
                 std::memcpy(frame.data() + FRAME_HEADER_BYTES, payload.c_str(), payload.size());
-                int32_t size =
-                    frame_seal(&s, (frame_type)type, frame.data(), (int32_t)payload.size());
-                return to_bytes(packet, cobs_encode(frame.data(), size, packet.data()));
+                return pack(
+                    frame, frame_seal(&s, (frame_type)type, frame.data(), (int32_t)payload.size()));
             },
             "type"_a, "payload"_a)
+        .def(
+            "seal_group",
+            [](session &s, const session &group) {
+                std::vector<uint8_t> frame(FRAME_MAX);
+                int32_t size =
+                    group_encode(&s, &group, frame.data() + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX);
+                return pack(frame, frame_seal(&s, FRAME_GROUP, frame.data(), size));
+            },
+            "group"_a)
         .def(
             "open",
             [](session &s, nb::bytes packet) -> nb::object {
@@ -110,10 +149,59 @@ static void bind_codec(nb::module_ &m) {
             "packet"_a);
 }
 
+static const char *const welcome_verdicts[] = {
+    "ok", "line noise", "another frame", "other version", "stale", "wrong key"};
+
+// What a host makes of an answer to its HELLO: the verdict and, if it is "ok", the device's nonce
+// and the session.
+static nb::tuple open_welcome(nb::bytes key, nb::bytes host_nonce, nb::bytes packet) {
+    uint8_t k[SIPHASH_KEY_BYTES];
+    nonces n{};
+    copy_key(k, key);
+    copy_nonce(n.host, host_nonce);
+    std::vector<uint8_t> frame(data(packet), data(packet) + packet.size());
+    int32_t size = cobs_decode(frame.data(), (int32_t)frame.size());
+    welcome_verdict verdict = welcome_decode(k, frame.data(), size, &n);
+    if (verdict != WELCOME_OK)
+        return nb::make_tuple(welcome_verdicts[verdict], nb::none(), nb::none());
+    session s{};
+    handshake_session(k, &n, TO_DEVICE, &s);
+    return nb::make_tuple("ok", nb::bytes((const char *)n.device, NONCE_BYTES), s);
+}
+
+static void bind_handshake(nb::module_ &m) {
+    m.def("crc_of", [](nb::bytes bytes) { return crc_of(data(bytes), (int32_t)bytes.size()); });
+    m.def(
+        "hello",
+        [](nb::bytes host_nonce) {
+            uint8_t nonce[NONCE_BYTES];
+            copy_nonce(nonce, host_nonce);
+            std::vector<uint8_t> frame(HANDSHAKE_BYTES);
+            hello_encode(nonce, frame.data());
+            return pack(frame, HANDSHAKE_BYTES);
+        },
+        "host_nonce"_a);
+    m.def(
+        "welcome",
+        [](nb::bytes key, nb::bytes host_nonce, nb::bytes device_nonce) {
+            uint8_t k[SIPHASH_KEY_BYTES];
+            nonces n{};
+            copy_key(k, key);
+            copy_nonce(n.host, host_nonce);
+            copy_nonce(n.device, device_nonce);
+            std::vector<uint8_t> frame(HANDSHAKE_BYTES);
+            welcome_encode(k, &n, frame.data());
+            return pack(frame, HANDSHAKE_BYTES);
+        },
+        "key"_a, "host_nonce"_a, "device_nonce"_a);
+    m.def("welcome_open", &open_welcome, "key"_a, "host_nonce"_a, "packet"_a);
+}
+
 static nb::bytes encode_plan(std::tuple<int64_t, int64_t, int64_t> stamps_us, uint32_t number,
-                             int64_t first_knot, nb::dict tracks) {
+                             uint16_t epoch, int64_t first_knot, nb::dict tracks) {
     plan p{};
     p.number = number;
+    p.epoch = epoch;
     p.first_knot = first_knot;
     for (auto [sink, points] : tracks) {
         int s = nb::cast<int>(sink);
@@ -145,11 +233,12 @@ static nb::object decode_plan(nb::bytes payload) {
             tracks[nb::int_(s)] =
                 array(std::vector<int32_t>(p.points[s], p.points[s] + p.count), {p.count});
     auto times = nb::make_tuple(st.status_us, st.status_received_us, st.sent_us);
-    return nb::make_tuple(times, p.number, p.first_knot, tracks);
+    return nb::make_tuple(times, p.number, p.epoch, p.first_knot, tracks);
 }
 
 static void bind_payloads(nb::module_ &m) {
-    m.def("plan_encode", &encode_plan, "stamps_us"_a, "number"_a, "first_knot"_a, "tracks"_a);
+    m.def("plan_encode", &encode_plan, "stamps_us"_a, "number"_a, "epoch"_a, "first_knot"_a,
+          "tracks"_a);
     m.def("plan_decode", &decode_plan, "payload"_a);
     m.def(
         "sync_encode",
@@ -159,11 +248,54 @@ static void bind_payloads(nb::module_ &m) {
             return to_bytes(payload, sync_encode(&st, payload.data(), FRAME_PAYLOAD_MAX));
         },
         "stamps_us"_a);
+    m.def(
+        "command_encode",
+        [](uint32_t number, uint8_t kind, int32_t argument, uint16_t epoch) {
+            command c{number, kind, argument, epoch};
+            std::vector<uint8_t> payload(FRAME_PAYLOAD_MAX);
+            return to_bytes(payload, command_encode(&c, payload.data(), FRAME_PAYLOAD_MAX));
+        },
+        "number"_a, "kind"_a, "argument"_a = 0, "epoch"_a = 0);
+    m.def("command_decode", [](nb::bytes payload) -> nb::object {
+        command c{};
+        if (!command_decode(data(payload), (int32_t)payload.size(), &c))
+            return nb::none();
+        return nb::make_tuple(c.number, c.kind, c.argument, c.epoch);
+    });
+    nb::class_<fault>(m, "Fault")
+        .def_ro("reason", &fault::reason)
+        .def_ro("state", &fault::state)
+        .def_ro("boots", &fault::boots)
+        .def_ro("time_us", &fault::time_us)
+        .def_ro("value", &fault::value)
+        .def_ro("limit", &fault::limit)
+        .def_ro("position_pq", &fault::position_pq)
+        .def_ro("torque_tq", &fault::torque_tq);
+    m.def("faults_decode", [](nb::bytes payload) -> nb::object {
+        fault_log log{};
+        if (!fault_log_decode(data(payload), (int32_t)payload.size(), &log))
+            return nb::none();
+        std::vector<fault> faults; // oldest first
+        for (uint32_t i = log.count < FAULT_LOG ? 0 : log.count - FAULT_LOG; i < log.count; i++)
+            faults.push_back(log.faults[i % FAULT_LOG]);
+        return nb::cast(faults);
+    });
     nb::class_<status>(m, "Status")
         .def_ro("sent_us", &status::sent_us)
         .def_ro("state", &status::state)
         .def_ro("refusal", &status::refusal)
         .def_ro("synced", &status::synced)
+        .def_ro("homed", &status::homed)
+        .def_ro("released", &status::released)
+        .def_ro("grouped", &status::grouped)
+        .def_ro("epoch", &status::epoch)
+        .def_ro("command_number", &status::command_number)
+        .def_ro("command_result", &status::command_result)
+        .def_ro("holding_tq", &status::holding_tq)
+        .def_ro("fault", &status::fault)
+        .def_prop_ro("reason", [](status &s) { return s.fault.reason; })
+        .def_prop_ro("reason_value", [](status &s) { return s.fault.value; })
+        .def_prop_ro("reason_limit", [](status &s) { return s.fault.limit; })
         .def_ro("plan_seen", &status::plan_seen)
         .def_ro("plan_accepted", &status::plan_accepted)
         .def_ro("accepted_mask", &status::accepted_mask)
@@ -204,18 +336,21 @@ static void bind_settings(nb::module_ &m) {
     nb::class_<gate_limits>(m, "GateLimits")
         .def(
             "__init__",
-            [](gate_limits *l, int32_t low, int32_t high, int32_t d, int32_t d2) {
-                bool ok = low <= high && low >= -GATE_POINT_MAX && high <= GATE_POINT_MAX &&
-                          d > 0 && d <= GATE_DIFFERENCE_MAX && d2 > 0;
-                if (!ok)
+            [](gate_limits *l, int32_t low, int32_t high, int32_t d, int32_t d2, int32_t stop,
+               bool continuous) {
+                gate_limits limits{continuous, low, high, d, d2, stop};
+                if (!gate_limits_valid(&limits))
                     throw std::invalid_argument("gate limits outside the range of the gate");
-                new (l) gate_limits{low, high, d, d2};
+                new (l) gate_limits{limits};
             },
-            "point_min"_a, "point_max"_a, "difference_max"_a, "second_difference_max"_a)
+            "point_min"_a, "point_max"_a, "difference_max"_a, "second_difference_max"_a,
+            "stop_difference"_a = 0, "continuous"_a = false)
+        .def_ro("continuous", &gate_limits::continuous)
         .def_ro("point_min", &gate_limits::point_min)
         .def_ro("point_max", &gate_limits::point_max)
         .def_ro("difference_max", &gate_limits::difference_max)
-        .def_ro("second_difference_max", &gate_limits::second_difference_max);
+        .def_ro("second_difference_max", &gate_limits::second_difference_max)
+        .def_ro("stop_difference", &gate_limits::stop_difference);
     nb::class_<servo_settings>(m, "ServoSettings")
         .def(nb::init<>())
         .def_rw("kp_tq", &servo_settings::kp_tq)
@@ -228,13 +363,90 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("supply_duty", &servo_settings::supply_duty)
         .def_rw("torque_limit_tq", &servo_settings::torque_limit_tq)
         .def_rw("integrate_running", &servo_settings::integrate_running);
+    nb::class_<monitor_settings>(m, "MonitorSettings")
+        .def(nb::init<>())
+        .def_rw("following_pq", &monitor_settings::following_pq)
+        .def_rw("following_periods", &monitor_settings::following_periods)
+        .def_rw("speed_pq", &monitor_settings::speed_pq)
+        .def_rw("bounded", &monitor_settings::bounded)
+        .def_rw("low_pq", &monitor_settings::low_pq)
+        .def_rw("high_pq", &monitor_settings::high_pq)
+        .def_rw("deceleration_q16", &monitor_settings::deceleration_q16)
+        .def_rw("torque_periods", &monitor_settings::torque_periods)
+        .def_rw("load_q8", &monitor_settings::load_q8)
+        .def_rw("overload", &monitor_settings::overload)
+        .def_rw("heating_q16", &monitor_settings::heating_q16)
+        .def_rw("rise_q16", &monitor_settings::rise_q16)
+        .def_rw("stuck_pq", &monitor_settings::stuck_pq)
+        .def_rw("stuck_periods", &monitor_settings::stuck_periods)
+        .def_rw("spike_counts", &monitor_settings::spike_counts)
+        .def_rw("supply_min_mV", &monitor_settings::supply_min_mV)
+        .def_rw("supply_max_mV", &monitor_settings::supply_max_mV)
+        .def_rw("chopper_mV", &monitor_settings::chopper_mV)
+        .def_rw("late_us", &monitor_settings::late_us);
+    nb::class_<home_settings>(m, "HomeSettings")
+        .def(nb::init<>())
+        .def_rw("method", &home_settings::method)
+        .def_rw("backwards", &home_settings::backwards)
+        .def_rw("mark_count", &home_settings::mark_count)
+        .def_rw("speed_q16", &home_settings::speed_q16)
+        .def_rw("acceleration_q16", &home_settings::acceleration_q16)
+        .def_rw("torque_tq", &home_settings::torque_tq)
+        .def_rw("way_counts", &home_settings::way_counts)
+        .def_rw("still_periods", &home_settings::still_periods);
     nb::class_<device_settings>(m, "DeviceSettings")
         .def(nb::init<>())
         .def_prop_rw(
-            "key",
-            [](device_settings &s) { return nb::bytes((const char *)s.key, SIPHASH_KEY_BYTES); },
+            "name", [](device_settings &s) { return std::string(s.name); },
+            [](device_settings &s, const std::string &name) {
+                if (name.size() > SETTINGS_NAME_MAX || name.find('\0') != std::string::npos)
+                    throw std::invalid_argument(
+                        "a device's name has up to 25 bytes of UTF-8, none of them zero");
+                std::memset(s.name, 0, sizeof s.name);
+                std::memcpy(s.name, name.data(), name.size());
+            })
+        .def_rw("brake_periods", &device_settings::brake_periods)
+        .def_rw("stop_us", &device_settings::stop_us)
+        .def_rw("sync_lost_us", &device_settings::sync_lost_us)
+        .def_rw("torque_step_tq", &device_settings::torque_step_tq)
+        .def_rw("knot_periods", &device_settings::knot_periods)
+        .def_rw("offset_count", &device_settings::offset_count)
+        .def_rw("carries_gravity", &device_settings::carries_gravity)
+        .def_rw("monitor", &device_settings::monitor)
+        .def_rw("home", &device_settings::home)
+        .def_prop_ro("valid", [](const device_settings &s) { return settings_valid(&s); })
+        .def(
+            "encode",
+            [](const device_settings &s, bool with_key) {
+                std::vector<uint8_t> bytes(SETTINGS_BYTES_MAX);
+                return to_bytes(bytes,
+                                settings_encode(&s, with_key, bytes.data(), SETTINGS_BYTES_MAX));
+            },
+            "with_key"_a = false)
+        .def_static(
+            "decode",
+            [](nb::bytes bytes, bool with_key) -> nb::object {
+                device_settings s{};
+                if (!settings_decode(data(bytes), (int32_t)bytes.size(), with_key, &s))
+                    return nb::none();
+                return nb::cast(s);
+            },
+            "bytes"_a, "with_key"_a = false)
+        .def("set_gap_policy",
+             [](device_settings &s, int sink, int policy) {
+                 if (sink < 0 || sink >= TRACK_COUNT || policy < 0 || policy >= GAP_POLICIES)
+                     throw std::invalid_argument("no such sink or policy");
+                 s.gap_policy[sink] = (uint8_t)policy;
+             })
+        .def("gap_policy",
+             [](device_settings &s, int sink) {
+                 if (sink < 0 || sink >= TRACK_COUNT)
+                     throw std::invalid_argument("no such sink");
+                 return (int)s.gap_policy[sink];
+             })
+        .def_prop_rw(
+            "key", [](device_settings &s) { return key_bytes(s.key); },
             [](device_settings &s, nb::bytes key) { copy_key(s.key, key); })
-        .def_rw("session", &device_settings::session)
         .def_rw("knot_shift", &device_settings::knot_shift)
         .def_rw("servo_period_us", &device_settings::servo_period_us)
         .def_rw("sample_every", &device_settings::sample_every)
@@ -265,9 +477,9 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
                           array(std::move(curve), {n}));
 }
 
-static const char *const gate_results[] = {"accepted", "late",  "gap",          "far",
-                                           "range",    "speed", "acceleration", "rest",
-                                           "start",    "stale", "state",        "sink"};
+static const char *const gate_results[] = {"accepted", "late",         "gap",  "far",   "range",
+                                           "speed",    "acceleration", "rest", "start", "stale",
+                                           "state",    "sink",         "room", "epoch"};
 
 static void check_count(const Points &points) {
     if (points.shape(0) < 3 || points.shape(0) > PLAN_POINTS_MAX)
@@ -317,9 +529,9 @@ static void bind_kernels(nb::module_ &m) {
             "step",
             [](servo &s, const servo_settings &settings, int32_t position_pq, int32_t velocity_pq,
                int32_t torque_tq, int32_t encoder_count, bool integrate) {
-                setpoint target{position_pq,    velocity_pq,    torque_tq, settings.kp_tq,
-                                settings.ki_tq, settings.kd_tq, integrate};
-                return servo_step(&settings, &s, &target, encoder_count);
+                setpoint target{position_pq,    velocity_pq,    torque_tq,           settings.kp_tq,
+                                settings.ki_tq, settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
+                return servo_step(&settings, &s, &target, servo_position_pq(encoder_count, false));
             },
             "settings"_a, "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "encoder_count"_a,
             "integrate"_a = true);
@@ -331,13 +543,104 @@ static void bind_kernels(nb::module_ &m) {
         .def_rw("count_us", &headway_clock::count_us)
         .def("advance", [](headway_clock &c, uint32_t count_us) { clock_advance(&c, count_us); })
         .def("at", [](const headway_clock &c, uint32_t count_us) { return clock_at(&c, count_us); })
-        .def("sample", [](headway_clock &c, int64_t offset_us) { clock_sample(&c, offset_us); });
+        .def("sample", [](headway_clock &c, int64_t offset_us) { clock_sample(&c, offset_us); })
+        .def("restart", [](headway_clock &c) { clock_restart(&c); });
+    m.def("next_state", [](int state, int event) {
+        if (state < 0 || state >= DEVICE_STATES || event < 0 || event >= DEVICE_EVENTS)
+            throw std::invalid_argument("no such state or event");
+        return (int)next_state((device_state)state, (device_event)event);
+    });
+    m.def("gap_policy_valid", [](int sink, int policy, bool carries_gravity) {
+        return gap_policy_valid((track_sink)sink, (gap_policy)policy, carries_gravity);
+    });
+    m.def("fault_response", [](int reason) { return (int)fault_response((fault_reason)reason); });
+}
+
+static void bind_stops(nb::module_ &m) {
+    nb::class_<observation>(m, "Observation")
+        .def("__init__", [](observation *o) { new (o) observation{}; })
+        .def_rw("count", &observation::count)
+        .def_rw("position_pq", &observation::position_pq)
+        .def_rw("setpoint_pq", &observation::setpoint_pq)
+        .def_rw("error_pq", &observation::error_pq)
+        .def_rw("torque_tq", &observation::torque_tq)
+        .def_rw("torque_limit_tq", &observation::torque_limit_tq)
+        .def_rw("feedback_tq", &observation::feedback_tq)
+        .def_rw("clipped", &observation::clipped)
+        .def_rw("supply_mV", &observation::supply_mV)
+        .def_rw("late_us", &observation::late_us)
+        .def_rw("power", &observation::power)
+        .def_rw("driven", &observation::driven)
+        .def_rw("bounded", &observation::bounded)
+        .def_rw("seeks_stop", &observation::seeks_stop);
+    nb::class_<monitor>(m, "Monitor")
+        .def("__init__", [](monitor *w) { new (w) monitor{}; })
+        .def_ro("chopper", &monitor::chopper)
+        .def_ro("rise_q16", &monitor::rise_q16)
+        .def_prop_ro("overload", [](const monitor &w) { return w.overload >> 16; })
+        .def_prop_ro("speed_pq", [](const monitor &w) { return monitor_speed_pq(&w); })
+        .def("begin", [](monitor &w) { monitor_begin(&w); })
+        .def(
+            "step",
+            [](monitor &w, const monitor_settings &settings, const observation &seen) {
+                breach b = monitor_step(&settings, &w, &seen);
+                return nb::make_tuple((int)b.reason, b.value, b.limit);
+            },
+            "settings"_a, "seen"_a);
+    nb::class_<ramp>(m, "Ramp")
+        .def(
+            "__init__",
+            [](ramp *r, int32_t position_pq, int32_t velocity_pq, int32_t torque_tq,
+               int32_t end_torque_tq) {
+                new (r) ramp{};
+                ramp_start(r, position_pq, velocity_pq, torque_tq, end_torque_tq);
+            },
+            "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "end_torque_tq"_a)
+        .def("step", [](ramp &r, int32_t deceleration_q16,
+                        int32_t step_tq) { ramp_step(&r, deceleration_q16, step_tq); })
+        .def_prop_ro("position_pq", [](const ramp &r) { return ramp_position_pq(&r); })
+        .def_prop_ro("velocity_pq", [](const ramp &r) { return ramp_velocity_pq(&r); })
+        .def_ro("position_q16", &ramp::position_q16)
+        .def_ro("velocity_q16", &ramp::velocity_q16)
+        .def_ro("torque_tq", &ramp::torque_tq)
+        .def_ro("resting", &ramp::resting);
+}
+
+using Names = std::vector<std::string>;
+
+static void name_numbers(nb::module_ &m) {
+    m.attr("GATE_RESULTS") = Names(std::begin(gate_results), std::end(gate_results));
+    m.attr("STATES") = Names{"BOOT",  "UNSYNCED", "IDLE", "ARMED", "RUNNING",
+                             "COAST", "TAIL",     "HOLD", "FAULT", "ESTOP"};
+    m.attr("EVENTS") = Names{"BOOTED", "SYNCED", "SYNC_LOST", "ARM",   "DISARM", "PLAN", "OVERDUE",
+                             "RESTED", "RESUME", "STOP",      "FAULT", "CLEAR",  "ESTOP"};
+    m.attr("REASONS") = Names{"NONE",    "HOST",  "SYNC_LOST", "GAP",          "FOLLOWING",
+                              "SPEED",   "ROOM",  "TORQUE",    "HOMING",       "GAP_FAULT",
+                              "OUTSIDE", "I2T",   "WINDING",   "UNDERVOLTAGE", "OVERVOLTAGE",
+                              "LATE",    "STUCK", "REVERSED",  "SPIKE",        "SETTINGS"};
+    m.attr("RESPONSES") = Names{"TAIL", "FAULT", "BRAKE"};
+    m.attr("COMMANDS") =
+        Names{"ARM", "DISARM", "RESUME", "STOP", "CLEAR", "HOME", "JOG", "ZERO", "SAVE", "FAULTS"};
+    m.attr("COMMAND_RESULTS") =
+        Names{"DONE", "NOT_NOW", "UNHOMED", "MOVING", "CAUSE", "BAD", "FAILED"};
+    m.attr("GAP_POLICIES") = Names{"interpolate", "ramp", "hold", "zero", "fault"};
+    m.attr("HOME_METHODS") = Names{"none", "index", "switch", "stop"};
 }
 
 NB_MODULE(_core, m) {
     m.attr("FRAME_SYNC") = (int)FRAME_SYNC;
     m.attr("FRAME_PLAN") = (int)FRAME_PLAN;
     m.attr("FRAME_STATUS") = (int)FRAME_STATUS;
+    m.attr("FRAME_COMMAND") = (int)FRAME_COMMAND;
+    m.attr("FRAME_FAULTS") = (int)FRAME_FAULTS;
+    m.attr("FRAME_HELLO") = (int)FRAME_HELLO;
+    m.attr("FRAME_WELCOME") = (int)FRAME_WELCOME;
+    m.attr("FRAME_GROUP") = (int)FRAME_GROUP;
+    m.attr("FRAME_SETTINGS") = (int)FRAME_SETTINGS;
+    m.attr("FRAME_WINDOW") = FRAME_WINDOW;
+    m.attr("OFFER_PAUSE_US") = OFFER_PAUSE_US;
+    m.attr("OFFER_VALID_US") = OFFER_VALID_US;
+    m.attr("NAME_MAX") = SETTINGS_NAME_MAX;
     m.attr("TRACK_POSITION") = (int)TRACK_POSITION;
     m.attr("TRACK_TORQUE") = (int)TRACK_TORQUE;
     m.attr("TRACK_KP") = (int)TRACK_KP;
@@ -353,11 +656,11 @@ NB_MODULE(_core, m) {
     m.attr("DIFFERENCE_MAX") = GATE_DIFFERENCE_MAX;
     m.attr("TORQUE_MAX") = SERVO_TORQUE_MAX;
     m.attr("DUTY_MAX") = SERVO_DUTY_MAX;
-    m.attr("GATE_RESULTS") =
-        std::vector<std::string>(std::begin(gate_results), std::end(gate_results));
-    m.attr("STATES") = std::vector<std::string>{"UNSYNCED", "IDLE", "RUNNING", "COAST", "HOLD"};
+    name_numbers(m);
     bind_codec(m);
+    bind_handshake(m);
     bind_payloads(m);
     bind_settings(m);
     bind_kernels(m);
+    bind_stops(m);
 }

@@ -44,6 +44,7 @@ int32_t plan_encode(const struct stamps *stamps, const struct plan *plan, uint8_
         return -1;
     write_stamps(&w, stamps);
     write_uint(&w, plan->number, 4);
+    write_uint(&w, plan->epoch, 2);
     write_uint(&w, (uint64_t)plan->first_knot, 8);
     write_uint(&w, plan->tracks, 1);
     write_uint(&w, plan->count, 1);
@@ -53,8 +54,8 @@ int32_t plan_encode(const struct stamps *stamps, const struct plan *plan, uint8_
         int64_t point = 0, difference = 0;
         for (int32_t i = 0; i < plan->count; i++) {
             int64_t d = plan->points[sink][i] - point;
-            write_varint(&w, i < 2 ? d : d - difference);
-            difference = d;
+            write_varint(&w, d - difference);
+            difference = i == 0 ? 0 : d; // the first point is no difference
             point = plan->points[sink][i];
         }
     }
@@ -66,17 +67,16 @@ static void read_points(struct reader *r, int32_t *points, int32_t count) {
     int64_t point = 0, difference = 0;
     for (int32_t i = 0; i < count; i++) {
         int64_t d = read_varint(r);
-        if (d > INT32_MAX * 4LL || d < -INT32_MAX * 4LL)
+        if (d >= 1LL << 33 || d <= -(1LL << 33)) // second differences of 32 bits stay below
             r->failed = true;
         if (r->failed)
             return;
-        difference = i < 2 ? d : difference + d;
-        point += difference;
-        if (point > INT32_MAX || point < -INT32_MAX) {
+        d += difference;
+        point += d;
+        if (point > INT32_MAX || point < INT32_MIN)
             r->failed = true;
-            return;
-        }
         points[i] = (int32_t)point;
+        difference = i == 0 ? 0 : d; // the first point is no difference
     }
 }
 
@@ -84,6 +84,7 @@ bool plan_decode(const uint8_t *payload, int32_t size, struct stamps *stamps, st
     struct reader r = {payload, size, 0, false};
     read_stamps(&r, stamps);
     plan->number = (uint32_t)read_uint(&r, 4);
+    plan->epoch = (uint16_t)read_uint(&r, 2);
     plan->first_knot = (int64_t)read_uint(&r, 8);
     plan->tracks = (uint8_t)read_uint(&r, 1);
     plan->count = (uint8_t)read_uint(&r, 1);

@@ -2,7 +2,7 @@
 // payload, which is its head alone.
 //
 //     status_us i64, status_received_us i64, sent_us i64      stamps for the clock
-//     number u32, first_knot i64, tracks u8, count u8         only in a PLAN
+//     number u32, epoch u16, first_knot i64, tracks u8, count u8      only in a PLAN
 //     for each track in the mask, count zigzag varints: the first point, the first difference, then
 //     second differences (a smooth curve's are small: about two bytes a point)
 #ifndef HEADWAY_PLAN_H
@@ -25,6 +25,7 @@ struct stamps {
 
 struct plan {
     uint32_t number; // counts up from 1
+    uint16_t epoch;  // of the arming or resuming that this plan belongs to
     int64_t first_knot;
     uint8_t tracks; // bit i: sink i is present
     uint8_t count;  // points in each track, 3 .. PLAN_POINTS_MAX

@@ -17,10 +17,15 @@ static void integrate(struct servo *servo, const struct setpoint *setpoint, int3
     servo->integral = sum > limit ? limit : sum < -limit ? -limit : (int32_t)sum;
 }
 
+int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
+    if (!continuous)
+        encoder_count = fixed_clamp(encoder_count, (1 << (30 - SERVO_COUNT_BITS)) - 1);
+    return (int32_t)((uint32_t)encoder_count << SERVO_COUNT_BITS);
+}
+
 int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
-                   const struct setpoint *setpoint, int32_t encoder_count) {
-    int32_t count = fixed_clamp(encoder_count, (1 << (30 - SERVO_COUNT_BITS)) - 1);
-    int32_t error_pq = setpoint->position_pq - count * (1 << SERVO_COUNT_BITS);
+                   const struct setpoint *setpoint, int32_t measured_pq) {
+    int32_t error_pq = fixed_difference(setpoint->position_pq, measured_pq);
     error_pq = fixed_clamp(error_pq, (1 << 29) - 1); // so that no sum of differences overflows
     int32_t difference_pq = servo->primed ? error_pq - servo->error_pq : 0;
     servo->error_pq = error_pq;
@@ -33,9 +38,11 @@ int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
     servo->difference_sum += difference_pq - servo->difference_sum / SERVO_FILTER_PERIODS;
     int32_t emf_tq =
         bounded(fixed_scale(servo->difference_sum / SERVO_FILTER_PERIODS, settings->emf_tq));
-    servo->unclipped_tq = bounded(fixed_scale(error_pq, setpoint->kp)) +
+    int32_t feedback_tq = bounded(fixed_scale(error_pq, setpoint->kp)) +
                           bounded(fixed_scale(difference_pq, setpoint->kd)) +
-                          (servo->integral >> SERVO_INTEGRAL_BITS) +
+                          (servo->integral >> SERVO_INTEGRAL_BITS);
+    servo->feedback_tq = fixed_clamp(feedback_tq + emf_tq, setpoint->feedback_limit_tq) - emf_tq;
+    servo->unclipped_tq = servo->feedback_tq +
                           bounded(fixed_scale(setpoint->velocity_pq, settings->velocity_tq)) +
                           bounded(setpoint->torque_tq) + emf_tq;
     servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);

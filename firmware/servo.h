@@ -14,6 +14,7 @@
 #define SERVO_TORQUE_MAX (1 << 25)
 #define SERVO_DUTY_MAX 32767
 #define SERVO_FILTER_PERIODS 8
+#define SERVO_FEEDBACK_FREE (1 << 30) // a feedback limit that never acts
 
 struct servo_settings {
     struct scale kp_tq;         // torque per following error [tq/pq]
@@ -33,6 +34,7 @@ struct servo {
     int32_t error_pq;
     int32_t integral;       // tq / 2^6
     int32_t difference_sum; // of error differences, a first-order low-pass over 8 periods
+    int32_t feedback_tq;    // what the gains make of the error
     int32_t unclipped_tq;   // what is asked for, back-EMF's share included
     int32_t torque_tq;      // after the ceiling
     bool saturated;         // torque ceiling or voltage reached
@@ -43,12 +45,17 @@ struct setpoint {
     int32_t position_pq;
     int32_t velocity_pq; // per knot interval
     int32_t torque_tq;
-    struct scale kp, ki, kd; // from the gain tracks, or the settings
+    struct scale kp, ki, kd;   // from the gain tracks, or the settings
+    int32_t feedback_limit_tq; // of what the gains and the back-EMF add up to
     bool integrate;
 };
 
+// Where an encoder count is: exact for counts within +-2^20; beyond, modulo 2^32 pq for an axis that
+// turns for ever, else at the end of that range.
+int32_t servo_position_pq(int32_t encoder_count, bool continuous);
+
 // One servo period: returns the duty.
 int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
-                   const struct setpoint *setpoint, int32_t encoder_count);
+                   const struct setpoint *setpoint, int32_t measured_pq);
 
 #endif

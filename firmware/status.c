@@ -6,7 +6,15 @@ int32_t status_encode(const struct status *status, uint8_t *payload, int32_t cap
     write_uint(&w, (uint64_t)status->sent_us, 8);
     write_uint(&w, status->state, 1);
     write_uint(&w, status->refusal, 1);
-    write_uint(&w, status->synced, 1);
+    write_uint(&w,
+               (uint64_t)(status->synced | status->homed << 1 | status->released << 2 |
+                          status->grouped << 3),
+               1);
+    write_uint(&w, status->epoch, 2);
+    write_uint(&w, status->command_number, 4);
+    write_uint(&w, status->command_result, 1);
+    write_uint(&w, (uint32_t)status->holding_tq, 4);
+    fault_write(&w, &status->fault);
     write_uint(&w, status->plan_seen, 4);
     write_uint(&w, status->plan_accepted, 4);
     write_uint(&w, status->accepted_mask, 4);
@@ -34,7 +42,16 @@ bool status_decode(const uint8_t *payload, int32_t size, struct status *status) 
     status->sent_us = (int64_t)read_uint(&r, 8);
     status->state = (uint8_t)read_uint(&r, 1);
     status->refusal = (uint8_t)read_uint(&r, 1);
-    status->synced = read_uint(&r, 1) != 0;
+    uint64_t flags = read_uint(&r, 1);
+    status->synced = flags & 1;
+    status->homed = flags >> 1 & 1;
+    status->released = flags >> 2 & 1;
+    status->grouped = flags >> 3 & 1;
+    status->epoch = (uint16_t)read_uint(&r, 2);
+    status->command_number = (uint32_t)read_uint(&r, 4);
+    status->command_result = (uint8_t)read_uint(&r, 1);
+    status->holding_tq = (int32_t)(uint32_t)read_uint(&r, 4);
+    fault_read(&r, &status->fault);
     status->plan_seen = (uint32_t)read_uint(&r, 4);
     status->plan_accepted = (uint32_t)read_uint(&r, 4);
     status->accepted_mask = (uint32_t)read_uint(&r, 4);

@@ -2,6 +2,7 @@
 #ifndef HEADWAY_STATUS_H
 #define HEADWAY_STATUS_H
 
+#include "fault.h"
 #include "history.h"
 #include <stdbool.h>
 #include <stdint.h>
@@ -21,9 +22,17 @@ struct status {
     uint8_t state;   // enum device_state
     uint8_t refusal; // enum gate_result of the last refused plan
     bool synced;
-    uint32_t plan_seen;     // highest plan number that arrived
-    uint32_t plan_accepted; // last plan accepted
-    uint32_t accepted_mask; // bit i: plan plan_seen - i was accepted
+    bool homed;              // the axis knows where it is
+    bool released;           // the brake is off and has had time to let go
+    bool grouped;            // it has the group's key
+    uint16_t epoch;          // of the plans that are taken
+    uint32_t command_number; // of the last command
+    uint8_t command_result;  // enum command_result
+    struct fault fault;      // why it stopped last
+    int32_t holding_tq;      // the torque that held it at its last rest
+    uint32_t plan_seen;      // highest plan number that arrived
+    uint32_t plan_accepted;  // last plan accepted
+    uint32_t accepted_mask;  // bit i: plan plan_seen - i was accepted
     struct counters counters;
     int32_t torque_peak_tq;  // largest unclipped |torque| since the last status
     uint32_t torque_clipped; // servo periods at the ceiling, ever

@@ -1,5 +1,5 @@
 #include "track.h"
-#include "fixed.h" // products with the 16-bit phase
+#include "fixed.h" // products with the 16-bit phase, sums modulo 2^32
 
 #define SIXTH_Q18 43691u // 2^18 / 6
 
@@ -24,12 +24,11 @@ static int32_t sixth(int32_t x) { return fixed_mul_q16(x, SIXTH_Q18) >> 2; }
 
 struct track_value track_evaluate(const struct track *track, int64_t time_us, int32_t knot_shift) {
     int64_t knot = time_us >> knot_shift;
-    uint32_t phase_us = (uint32_t)time_us & ((1u << knot_shift) - 1u);
-    uint16_t u = (uint16_t)(phase_us << (16 - knot_shift)); // Q16, knot_shift <= 15
+    uint16_t u = (uint16_t)((uint32_t)time_us << (16 - knot_shift)); // Q16, knot_shift <= 15
     int32_t base = track_point(track, knot);
-    int32_t d0 = base - track_point(track, knot - 1);
-    int32_t d1 = track_point(track, knot + 1) - base;
-    int32_t d2 = track_point(track, knot + 2) - track_point(track, knot + 1);
+    int32_t d0 = fixed_difference(base, track_point(track, knot - 1));
+    int32_t d1 = fixed_difference(track_point(track, knot + 1), base);
+    int32_t d2 = fixed_difference(track_point(track, knot + 2), track_point(track, knot + 1));
     int32_t curve0 = d1 - d0, jerk = d2 - d1 - curve0;
     // Horner on differences: base + curve0/6 + u (d0 + d1)/2 + u^2 curve0/2 + u^3 jerk/6.
     int32_t cubic = fixed_mul_q16(sixth(jerk), u);
@@ -37,7 +36,7 @@ struct track_value track_evaluate(const struct track *track, int64_t time_us, in
     int32_t linear = fixed_mul_q16(((d0 + d1) >> 1) + square, u);
     int32_t curve = fixed_mul_q16(jerk, u);
     struct track_value result;
-    result.value = base + sixth(curve0) + linear;
+    result.value = fixed_sum(base, sixth(curve0) + linear);
     result.rate = ((d0 + d1) >> 1) + fixed_mul_q16(curve0 + (curve >> 1), u);
     result.curve = curve0 + curve;
     return result;

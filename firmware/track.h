@@ -3,7 +3,7 @@
 // Knot k lies at system time k * 2^shift microseconds. In [k, k+1) the points k-1 .. k+2 are live;
 // at knot k the value is (c[k-1] + 4 c[k] + c[k+1]) / 6 (de Boor, A Practical Guide to Splines).
 // Beyond the last point that was written a track repeats it, so a plan that ends in three equal
-// points stays at rest.
+// points stays at rest. Positions of an axis that turns for ever are modulo 2^32.
 #ifndef HEADWAY_TRACK_H
 #define HEADWAY_TRACK_H
 

@@ -38,6 +38,16 @@ static inline uint64_t read_uint(struct reader *r, int32_t bytes) {
     return value;
 }
 
+static inline void write_bytes(struct writer *w, const uint8_t *bytes, int32_t count) {
+    for (int32_t i = 0; i < count; i++)
+        write_uint(w, bytes[i], 1);
+}
+
+static inline void read_bytes(struct reader *r, uint8_t *bytes, int32_t count) {
+    for (int32_t i = 0; i < count; i++)
+        bytes[i] = (uint8_t)read_uint(r, 1);
+}
+
 // Zigzag, seven bits a byte: small magnitudes of either sign take one byte.
 static inline void write_varint(struct writer *w, int64_t value) {
     uint64_t zigzag = ((uint64_t)value << 1) ^ (uint64_t)(value >> 63);

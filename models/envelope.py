@@ -44,18 +44,24 @@ class Envelope:
         return float(shares[pose, -1]), modes[pose, :, -1] ** 2
 
 
-def envelope(machine: Machine, low: Array, high: Array) -> Envelope:
-    """Samples the range (n,) to (n,) with a Sobol sequence, its corners and its middle."""
-    model = machine.model
-    data, n = model.createData(), model.nv
+def postures(low: Array, high: Array) -> Array:
+    """Configurations (m, n) all over the range: a Sobol sequence, its corners and its middle."""
+    n = len(low)
     count = SAMPLES if n <= MANY else SAMPLES_OF_MANY
     shares = qmc.Sobol(n, rng=np.random.default_rng(0)).random(count)
     corners = np.array(np.meshgrid(*[(0.0, 0.5, 1.0)] * min(n, 6))).reshape(min(n, 6), -1).T
     padded = np.full((len(corners), n), 0.5)
     padded[:, : corners.shape[1]] = corners
+    all_shares: Array = np.vstack((shares, padded))
+    return low + all_shares * (high - low)
+
+
+def envelope(machine: Machine, low: Array, high: Array) -> Envelope:
+    """Over the range (n,) to (n,), as `postures` samples it."""
+    model = machine.model
+    data = model.createData()
     upper, holding, stiffness = [], [], []
-    for share in np.vstack((shares, padded)):
-        q = low + share * (high - low)
+    for q in postures(low, high):
         upper.append(np.array(pin.crba(model, data, q)))
         holding.append(np.abs(pin.computeGeneralizedGravity(model, data, q)))
         stiffness.append(np.array(pin.computeGeneralizedGravityDerivatives(model, data, q)))

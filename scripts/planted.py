@@ -56,7 +56,7 @@ BUGS = (
     ),
     Bug(
         "full round trip instead of half",
-        "firmware/device.c",
+        "firmware/inbox.c",
         "clock_sample(&device->clock, ahead_us / 2);",
         "clock_sample(&device->clock, ahead_us);",
         "tests/test_device_states.py::test_syncs_to_the_hosts_time",

@@ -14,7 +14,86 @@ int32_t board_encoder_count(const struct board *board) { return board->encoder_c
 
 void board_set_duty(struct board *board, int32_t duty_q15) { board->duty_q15 = duty_q15; }
 
-void board_set_brake(struct board *board, bool engaged) { board->brake = engaged; }
+void board_set_power(struct board *board, bool on) { board->power = on; }
+
+void board_set_brake(struct board *board, bool engaged) {
+    if (board->brake != engaged)
+        board->brake_us = board->true_us;
+    board->brake = engaged;
+}
+
+bool board_stop_line(const struct board *board) { return board->stop_line; }
+
+bool board_home_switch(const struct board *board) { return board->home_switch; }
+
+bool board_index(struct board *board, int32_t *count) {
+    bool indexed = board->indexed;
+    *count = board->index_count;
+    board->indexed = false;
+    return indexed;
+}
+
+int32_t board_supply_mV(const struct board *board) { return (int32_t)(board->supply_V * 1000); }
+
+void board_set_chopper(struct board *board, bool on) { board->chopper = on; }
+
+int32_t board_load(const struct board *board, enum board_record record, uint8_t *bytes,
+                   int32_t capacity) {
+    const struct memory *memory = &board->memory[record];
+    if (memory->size > capacity)
+        return 0;
+    memcpy(bytes, memory->bytes, (size_t)memory->size);
+    return memory->size;
+}
+
+void board_save(struct board *board, enum board_record record, const uint8_t *bytes, int32_t size) {
+    if (size < 0 || size > BOARD_RECORD_MAX)
+        return;
+    board->memory[record].size = size;
+    memcpy(board->memory[record].bytes, bytes, (size_t)size);
+}
+
+uint64_t board_random(struct board *board) { // splitmix64 (Steele, Lea, Flood, 2014)
+    uint64_t z = board->random += 0x9e3779b97f4a7c15u;
+    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+    return z ^ z >> 31;
+}
+
+static int32_t floor_divide(int32_t a, int32_t b) { return a / b - (a % b < 0); }
+
+// The marks that homing looks for are where the axis truly is.
+static void pass_marks(struct board *board, int32_t count) {
+    if (board->index_every > 0) {
+        int32_t every = board->index_every, at = board->index_at;
+        int32_t before = floor_divide(board->true_count - at, every);
+        int32_t after = floor_divide(count - at, every);
+        if (before != after) {
+            board->index_count =
+                (after > before ? after : before) * every + at - board->encoder_offset;
+            board->indexed = true;
+        }
+    }
+    board->true_count = count;
+    board->home_switch = count >= board->switch_from && count < board->switch_to;
+}
+
+void board_set_encoder(struct board *board, int32_t count) {
+    pass_marks(board, count);
+    struct encoder_fault *fault = &board->encoder_fault;
+    if (fault->defect != ENCODER_GOOD && board->true_us >= fault->since_us) {
+        if (!fault->begun)
+            fault->at_count = count;
+        fault->begun = true;
+        if (fault->defect == ENCODER_STUCK)
+            count = fault->at_count;
+        else if (fault->defect == ENCODER_REVERSED)
+            count = 2 * fault->at_count - count;
+        else
+            count += 1 << 16;
+    }
+    board->encoder_count = count - board->encoder_offset;
+}
 
 static bool fill(struct parcel *parcels, int32_t count, int64_t time_us, const uint8_t *bytes,
                  int32_t size) {

@@ -16,19 +16,56 @@ struct parcel {
     uint8_t bytes[BOARD_PACKET_MAX];
 };
 
+// Non-volatile: it outlives a reset.
+struct memory {
+    int32_t size;
+    uint8_t bytes[BOARD_RECORD_MAX];
+};
+
+// What is wrong with the encoder, from `since_us` on.
+enum encoder_defect { ENCODER_GOOD, ENCODER_STUCK, ENCODER_REVERSED, ENCODER_SPIKE };
+struct encoder_fault {
+    int32_t defect; // enum encoder_defect
+    int64_t since_us;
+    int32_t at_count; // when it set in
+    int32_t begun;
+};
+
 struct board {
     int64_t true_us;      // the simulator's own time; the device sees only its counter
     int64_t count_offset; // counter at true time 0
     int32_t drift_ppb;    // of the counter's oscillator
     int32_t encoder_count;
+    int32_t encoder_offset; // what an incremental encoder does not know
     int32_t duty_q15;
-    int32_t brake;
+    int32_t power;
+    int32_t brake;       // as the device sets it
+    int64_t brake_us;    // when it was last changed
     double brake_anchor; // joint position at which the brake engaged
     int32_t brake_anchored;
+    int32_t chopper;
+    double supply_V;      // of the bridge, as the plant has it
+    double current_A;     // of the motor
+    double capacitance_F; // of the bridge; 0: the supply takes back what the motor feeds back
+    double feed_V;        // what the supply would be without load
+    int32_t stop_line;    // the emergency line is open
+    int32_t switch_from, switch_to; // true counts at which the home switch is on
+    int32_t home_switch;
+    int32_t index_every; // true counts from one index pulse to the next, 0: none
+    int32_t index_at;    // true count of one of them
+    int32_t true_count;  // of the last step
+    int32_t indexed;     // an index pulse waits to be read
+    int32_t index_count;
+    struct encoder_fault encoder_fault;
+    uint64_t random;
     uint32_t dropped; // packets that found the inbox or outbox full
+    struct memory memory[RECORDS];
     struct parcel inbox[BOARD_INBOX];
     struct parcel outbox[BOARD_OUTBOX];
 };
+
+// The encoder as the device gets to see it, from the true count.
+void board_set_encoder(struct board *board, int32_t count);
 
 // A device and its board.
 struct node {

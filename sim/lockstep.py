@@ -18,12 +18,14 @@ from headway.controller.loop import Loop
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.reference import Sines
-from headway.controller.tick import Phase
-from headway.devices.axis import device_settings
+from headway.controller.tick import DeviceError, Phase
 from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
+from headway.devices.session import Session
+from headway.devices.settings import device_settings
 from headway.firmware import _core
 from headway.models.machine import load_machine
+from headway.sim.mishaps import Mishaps
 from headway.sim.network import Mailbox, Wire
 from headway.sim.plant import Plant, start_of
 
@@ -38,6 +40,7 @@ class SimLink:
         self, config: Config, plant: Plant, epoch_us: int, seeds: list[np.random.Generator]
     ):
         n = len(plant.nodes)
+        self._cut: set[int] = set()
         self._plant, self._epoch_us, self._mailbox = plant, epoch_us, Mailbox()
         self.to_device = [Wire(config.sim.to_device, rng) for rng in seeds[:n]]
         self.to_host = [Wire(config.sim.to_host, rng) for rng in seeds[n : 2 * n]]
@@ -47,12 +50,16 @@ class SimLink:
         for wire in (*self.to_device, *self.to_host):
             wire.sent = wire.lost = 0
 
+    def cut(self, devices: set[int]) -> None:
+        """No packet passes to or from these devices."""
+        self._cut = devices
+
     def collect(self) -> None:
         """Puts what the devices have sent on its way to the host."""
         for device, node in enumerate(self._plant.nodes):
             for sent_us, packet in node.collect():
                 arrival_us = self.to_host[device].carry(sent_us)
-                if arrival_us is not None:
+                if arrival_us is not None and device not in self._cut:
                     self._mailbox.put(arrival_us + self._epoch_us, device, packet)
 
     def receive(self, now_us: int) -> list[tuple[int, int, bytes]]:
@@ -60,7 +67,7 @@ class SimLink:
 
     def send(self, device: int, packet: bytes, now_us: int) -> None:
         arrival_us = self.to_device[device].carry(now_us - self._epoch_us)
-        if arrival_us is not None:
+        if arrival_us is not None and device not in self._cut:
             self._plant.nodes[device].deliver(arrival_us, packet)
 
 
@@ -76,7 +83,8 @@ class Lockstep:
         path = (folder / config.machine.model).resolve()
         n = len(config.machine.axes)
         root = np.random.SeedSequence(config.seed)
-        world, outliers, *wires = (np.random.default_rng(s) for s in root.spawn(2 + 2 * n))
+        seeds = root.spawn(3 + 2 * n)
+        world, outliers, *wires, nonces = (np.random.default_rng(s) for s in seeds)
         self._outlier_rng = outliers
         reference = Sines(config.task)
         start = start_of(config, reference)
@@ -84,7 +92,7 @@ class Lockstep:
         self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
         self.epoch_us = int(world.integers(10**15, 2 * 10**15))
         self.link = SimLink(config, self.plant, self.epoch_us, wires)
-        remotes = [self._power_up(device, world) for device in range(n)]
+        remotes = [self._power_up(device, world, nonces) for device in range(n)]
         self.remotes = remotes
         self.reference = reference
         self.record = record or Memory()
@@ -92,39 +100,66 @@ class Lockstep:
         self.ticks = self.deadline_misses = 0
         self.stopping = False  # set it to end the run early: the last plan brings all to rest
         self._busy_until_us = 0
+        self._mishaps = Mishaps(config, self.plant, self.link) if config.sim.mishaps else None
+        self.plant.set_bridge(config.sim.bridge_F)
 
-    def _power_up(self, device: int, world: np.random.Generator) -> Remote:
+    def _power_up(
+        self, device: int, world: np.random.Generator, nonces: np.random.Generator
+    ) -> Remote:
         """Flashes a board with its settings, a key and an oscillator of its own."""
         config = self.config
         settings = device_settings(config.machine.axes[device], config.device, config.loop)
-        key, settings.session = world.bytes(16), device + 1
-        settings.key = key
+        settings.key = world.bytes(16)
+        if config.machine.axes[device].homing is not None:
+            self._forget(device, world)
         drift_ppb = round(world.uniform(-1, 1) * config.sim.clocks.drift_ppm * 1000)
         self.plant.nodes[device].flash(settings, int(world.integers(2**32)), drift_ppb)
-        return Remote(key, device + 1, COAST_KNOTS * config.loop.knot_us)
+        self.plant.nodes[device].random = int(nonces.integers(2**63))
+        return Remote(Session(settings.key, nonces), COAST_KNOTS * config.loop.knot_us)
+
+    def _forget(self, device: int, world: np.random.Generator) -> None:
+        """An encoder that counts from where it is at power-up; its marks are at their places."""
+        node, axis = self.plant.nodes[device], self.config.machine.axes[device]
+        assert axis.homing is not None
+        turn = round(axis.counts_per_unit * axis.motor.turn)
+        mark = round(axis.homing.mark * axis.counts_per_unit)
+        node.encoder_offset = int(world.integers(-turn, turn))
+        node.index_every, node.index_at = turn, mark
+        beyond = (-(2**31), mark) if axis.homing.backwards else (mark, 2**31 - 1)
+        node.switch_from, node.switch_to = beyond
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:
         """From power-up through the task's duration to rest; after each tick of the task `progress`
         gets its seconds.
 
-        Raises DeviceError if a device does not answer or does not start.
+        Raises DeviceError if a device does not answer, does not start or stops by itself; by then
+        all have come to rest.
         """
+        try:
+            self._run_task(progress)
+        except DeviceError:
+            self._come_to_rest()
+            raise
+        self._come_to_rest()
+
+    def _run_task(self, progress: Callable[[float], None] | None) -> None:
         knot_us = self.config.loop.knot_us
-        now_us = -(-(self.epoch_us + self.plant.true_us) // knot_us) * knot_us
+        now_us = self.end_us = -(-(self.epoch_us + self.plant.true_us) // knot_us) * knot_us
         end_us: int | None = None
         while not self.stopping and (end_us is None or now_us < end_us):
             self._advance_to(now_us - self.epoch_us)
             self._host_tick(now_us)
-            now_us += knot_us
+            now_us = self.end_us = now_us + knot_us
             if self.loop.phase is Phase.RUN and end_us is None:
                 self.record.add(("task", now_us, (self.loop.start_us,)))
                 end_us = self.loop.start_us + round(self.config.duration_s * 1e6)
                 self.link.count_anew()
             if progress and end_us is not None:
                 progress((now_us - self.loop.start_us) * 1e-6)
-        self.end_us = now_us
+
+    def _come_to_rest(self) -> None:
         plan_us = self.config.mpc.horizon_us + self.config.loop.margin_us
-        self._advance_to(now_us - self.epoch_us + plan_us + round(REST_S * 1e6))
+        self._advance_to(self.end_us - self.epoch_us + plan_us + round(REST_S * 1e6))
         self._note_end()
 
     def task_s(self, system_us: int) -> float:
@@ -173,6 +208,8 @@ class Lockstep:
         """Steps the plant to the first step at or after `true_us`, noting the truth each ms."""
         step_us, plant = self.plant.step_us, self.plant
         while plant.true_us < true_us:
+            if self._mishaps and self.loop.phase is Phase.RUN:
+                self._mishaps.happen(plant.true_us, self.task_s(plant.true_us + self.epoch_us))
             next_truth_us = (plant.true_us // TRUTH_US + 1) * TRUTH_US
             target_us = min(next_truth_us, true_us)
             plant.step(-(-(target_us - plant.true_us) // step_us))

@@ -11,6 +11,7 @@
 
 extern "C" {
 #include "board.h"
+#include "store.h"
 }
 
 namespace nb = nanobind;
@@ -24,13 +25,50 @@ struct Node {
     node *operator->() const { return reinterpret_cast<node *>(state.data()); }
 };
 
+// A power cycle: what is in memory stays, all else is gone.
+static void restart(Node &n) {
+    for (parcel &p : n->board.inbox)
+        p.size = 0;
+    for (parcel &p : n->board.outbox)
+        p.size = 0;
+    board_set_power(&n->board, false);
+    board_set_brake(&n->board, true);
+    board_set_duty(&n->board, 0);
+    board_set_chopper(&n->board, false);
+    device_boot(&n->device, &n->board, board_count_us(&n->board));
+}
+
+// As a programmer does: settings into the memory, beside what is there, and a power cycle.
 static void flash(Node &n, const device_settings &settings, int64_t count_offset, int32_t drift) {
-    if (settings.knot_shift < 9 || settings.knot_shift > 15 || settings.servo_period_us == 0 ||
-        settings.sample_every == 0)
-        throw std::invalid_argument("a device needs a knot shift of 9 .. 15 and periods above 0");
     n->board.count_offset = count_offset;
     n->board.drift_ppb = drift;
-    device_init(&n->device, &settings, board_count_at(&n->board, n->board.true_us));
+    store_save_settings(&n->board, &settings);
+    restart(n);
+}
+
+static void check_record(int record) {
+    if (record < 0 || record >= RECORDS)
+        throw std::invalid_argument("no such record");
+}
+
+static nb::bytes memory_of(Node &n, int record) {
+    check_record(record);
+    const memory &m = n->board.memory[record];
+    return nb::bytes((const char *)m.bytes, (size_t)m.size);
+}
+
+static void set_memory(Node &n, int record, nb::bytes bytes) {
+    check_record(record);
+    if (bytes.size() > BOARD_RECORD_MAX)
+        throw std::invalid_argument("too long for a record");
+    board_save(&n->board, (board_record)record, reinterpret_cast<const uint8_t *>(bytes.c_str()),
+               (int32_t)bytes.size());
+}
+
+static void break_encoder(Node &n, int32_t defect, int64_t since_us) {
+    if (defect < ENCODER_GOOD || defect > ENCODER_SPIKE)
+        throw std::invalid_argument("no such defect of an encoder");
+    n->board.encoder_fault = encoder_fault{defect, since_us, 0, false};
 }
 
 static bool deliver(Node &n, int64_t arrival_us, nb::bytes packet) {
@@ -48,8 +86,12 @@ static std::vector<std::tuple<int64_t, nb::bytes>> collect(Node &n) {
     return packets;
 }
 
-// Position and torque setpoints [pq, pq/knot, tq] at a system time, from the device's own tracks.
+// Position and torque setpoints [pq, pq/knot, tq]: at a system time from the device's own tracks
+// while it executes them, else those of the last servo period.
 static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) {
+    const struct setpoint &last = n->device.setpoint;
+    if (n->device.state != DEVICE_RUNNING && n->device.state != DEVICE_COAST)
+        return {last.position_pq, last.velocity_pq, last.torque_tq};
     int32_t shift = n->device.settings.knot_shift;
     track_value position = track_evaluate(&n->device.tracks[TRACK_POSITION], time_us, shift);
     track_value torque = track_evaluate(&n->device.tracks[TRACK_TORQUE], time_us, shift);
@@ -58,6 +100,10 @@ static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) 
 
 NB_MODULE(_board, m) {
     nb::module_::import_("headway.firmware._core"); // Python's type for the settings
+    m.attr("RECORD_SETTINGS_A") = (int)RECORD_SETTINGS_A;
+    m.attr("RECORD_BOOTS_A") = (int)RECORD_BOOTS_A;
+    m.attr("RECORD_FAULTS_A") = (int)RECORD_FAULTS_A;
+    m.attr("RECORD_MAX") = BOARD_RECORD_MAX;
     m.attr("NODE_NUMBERS") = (sizeof(node) + sizeof(double) - 1) / sizeof(double);
     nb::class_<Node>(m, "Node")
         .def(
@@ -68,6 +114,10 @@ NB_MODULE(_board, m) {
                 new (n) Node{state};
             },
             "state"_a)
+        .def("restart", &restart)
+        .def("memory", &memory_of, "record"_a)
+        .def("set_memory", &set_memory, "record"_a, "bytes"_a)
+        .def("break_encoder", &break_encoder, "defect"_a, "since_us"_a)
         .def("flash", &flash, "settings"_a, "count_offset"_a = 0, "drift_ppb"_a = 0)
         .def("deliver", &deliver, "arrival_us"_a, "packet"_a)
         .def("collect", &collect)
@@ -76,15 +126,55 @@ NB_MODULE(_board, m) {
             "poll",
             [](Node &n, int64_t true_us, int32_t encoder_count) {
                 n->board.true_us = true_us;
-                n->board.encoder_count = encoder_count;
+                board_set_encoder(&n->board, encoder_count);
                 device_poll(&n->device, &n->board);
             },
             "true_us"_a, "encoder_count"_a)
         .def_prop_ro("state", [](Node &n) { return (int)n->device.state; })
+        .def_prop_ro("boots", [](Node &n) { return n->device.boots; })
+        .def_prop_ro("session",
+                     [](Node &n) -> nb::object {
+                         if (!n->device.session.begun)
+                             return nb::none();
+                         return nb::int_(n->device.session.number);
+                     })
+        .def_prop_ro("settings", [](Node &n) { return n->device.settings; })
         .def_prop_ro("synced", [](Node &n) { return n->device.clock.synced; })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })
+        .def_prop_ro("power", [](Node &n) { return n->board.power != 0; })
+        .def_prop_ro("chopper", [](Node &n) { return n->board.chopper != 0; })
+        .def_prop_rw(
+            "stop_line", [](Node &n) { return n->board.stop_line != 0; },
+            [](Node &n, bool value) { n->board.stop_line = value; })
+        .def_prop_rw(
+            "supply_V", [](Node &n) { return n->board.supply_V; },
+            [](Node &n, double value) { n->board.supply_V = value; })
+        .def_prop_rw(
+            "feed_V", [](Node &n) { return n->board.feed_V; },
+            [](Node &n, double value) { n->board.feed_V = value; })
+        .def_prop_rw(
+            "capacitance_F", [](Node &n) { return n->board.capacitance_F; },
+            [](Node &n, double value) { n->board.capacitance_F = value; })
+        .def_prop_rw(
+            "encoder_offset", [](Node &n) { return n->board.encoder_offset; },
+            [](Node &n, int32_t value) { n->board.encoder_offset = value; })
+        .def_prop_rw(
+            "index_every", [](Node &n) { return n->board.index_every; },
+            [](Node &n, int32_t value) { n->board.index_every = value; })
+        .def_prop_rw(
+            "index_at", [](Node &n) { return n->board.index_at; },
+            [](Node &n, int32_t value) { n->board.index_at = value; })
+        .def_prop_rw(
+            "switch_from", [](Node &n) { return n->board.switch_from; },
+            [](Node &n, int32_t value) { n->board.switch_from = value; })
+        .def_prop_rw(
+            "switch_to", [](Node &n) { return n->board.switch_to; },
+            [](Node &n, int32_t value) { n->board.switch_to = value; })
+        .def_prop_rw(
+            "random", [](Node &n) { return n->board.random; },
+            [](Node &n, uint64_t value) { n->board.random = value; })
         .def_prop_ro("dropped", [](Node &n) { return n->board.dropped; })
         .def_prop_ro("torque_tq", [](Node &n) { return n->device.servo.torque_tq; })
         .def_prop_ro("unclipped_tq", [](Node &n) { return n->device.servo.unclipped_tq; })

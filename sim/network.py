@@ -15,6 +15,13 @@ class Wire:
     def __init__(self, channel: Channel, rng: np.random.Generator) -> None:
         self._channel, self._rng = channel, rng
         self.sent = self.lost = self.last_sent_us = 0
+        # Two states (Gilbert, Bell Syst. Tech. J. 39, 1960): a run of lost packets ends with each
+        # of them at 1 / its mean length, and begins so often that the share of the lost is as
+        # configured. At the length that chance alone gives, both probabilities are the same.
+        mean = max(channel.loss_run, 1 / (1 - channel.loss) if channel.loss < 1 else 1.0)
+        self._loss_after_loss = 1 - 1 / mean if channel.loss < 1 else 1.0
+        self._loss = channel.loss / (mean * (1 - channel.loss)) if channel.loss < 1 else 1.0
+        self._burst = False  # the last packet was lost
 
     def carry(self, sent_us: int) -> int | None:
         """Arrival time of a packet sent at `sent_us`, or None if it is lost."""
@@ -22,7 +29,8 @@ class Wire:
         lost, late, jitter = self._rng.random(3).tolist()
         self.sent += 1
         self.last_sent_us = sent_us
-        if lost < c.loss:
+        self._burst = lost < self._loss_after_loss if self._burst else lost < self._loss
+        if self._burst:
             self.lost += 1
             return None
         delay_us: int = c.delay_us + round((2 * jitter - 1) * c.jitter_us)

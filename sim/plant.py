@@ -110,6 +110,11 @@ class Plant:
         """Torque (or force) of motor and brake at the joint [Nm or N], by axis."""
         return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
 
+    def set_bridge(self, capacitance_F: float) -> None:
+        """Capacitance of every board's bridge [F]; 0: the supply takes back what it is fed."""
+        for node in self.nodes:
+            node.capacitance_F = capacitance_F
+
     def step(self, count: int) -> None:
         """Advances plant, servos and devices by `count` physics steps. Raises UnstableError."""
         mujoco.mj_step(self.model, self.data, count)

@@ -22,6 +22,8 @@ enum motor {
 
 #define BRAKE_STIFFNESS 400.0 // times the brake's torque, per radian: it holds within 2.5 mrad
 #define BRAKE_DAMPING 4.0     // times the brake's torque, s/rad
+#define BRAKE_US 15000        // until it has engaged, or let go
+#define CHOPPER_OHM 8.0
 
 static int actuator_of(const mjModel *m, int instance) {
     for (int i = 0; i < m->nu; i++)
@@ -55,15 +57,19 @@ static int check(const mjModel *m, mjData *d, int instance) {
 }
 
 static void reset(const mjModel *m, mjtNum *plugin_state, void *plugin_data, int instance) {
-    (void)m, (void)plugin_data, (void)instance;
+    (void)plugin_data;
     struct node *node = (struct node *)plugin_state;
     memset(node, 0, sizeof *node);
     node->board.brake = true;
+    node->board.brake_us = -BRAKE_US;
+    int id = actuator_of(m, instance);
+    node->board.feed_V = node->board.supply_V = m->actuator_user[id * m->nuser_actuator + SUPPLY];
 }
 
-// A stiff spring to where the brake engaged, as strong as the brake is.
+// A stiff spring to where the brake engaged, as strong as the brake is. It takes its time, both ways.
 static mjtNum brake_force(struct board *board, mjtNum strength, mjtNum position, mjtNum velocity) {
-    if (!board->brake) {
+    bool settled = board->true_us - board->brake_us >= BRAKE_US;
+    if (settled ? !board->brake : board->brake) {
         board->brake_anchored = false;
         return 0;
     }
@@ -83,12 +89,31 @@ static void compute(const mjModel *m, mjData *d, int instance, int capability) {
     struct board *board = &node_of(m, d, instance)->board;
     mjtNum position = d->qpos[m->jnt_qposadr[joint]], velocity = d->qvel[m->jnt_dofadr[joint]];
     mjtNum force = brake_force(board, motor[BRAKE], position, velocity);
-    if (!board->brake) { // with the brake on the bridge is open: no current
+    board->current_A = 0;
+    if (board->power) {
         mjtNum constant = motor[GEAR] * motor[TORQUE_CONSTANT];
-        mjtNum voltage = board->duty_q15 / 32768.0 * motor[SUPPLY];
-        force += constant * (voltage - constant * velocity) / motor[RESISTANCE];
+        mjtNum voltage = board->duty_q15 / 32768.0 * board->supply_V;
+        board->current_A = (voltage - constant * velocity) / motor[RESISTANCE];
+        force += constant * board->current_A;
     }
     d->actuator_force[id] = force;
+}
+
+// The bridge's voltage: the supply's own or, with a capacitor behind a diode, what the motor has
+// pumped into it beyond that.
+static void charge(struct board *board, mjtNum dt) {
+    mjtNum volts = board->supply_V;
+    if (board->capacitance_F <= 0 || volts <= board->feed_V) {
+        board->supply_V = board->feed_V;
+        if (board->capacitance_F <= 0)
+            return;
+        volts = board->supply_V;
+    }
+    mjtNum drawn_A = board->duty_q15 / 32768.0 * board->current_A;
+    if (board->chopper)
+        drawn_A += volts / CHOPPER_OHM;
+    volts -= drawn_A * dt / board->capacitance_F;
+    board->supply_V = mju_max(volts, board->feed_V);
 }
 
 static void advance(const mjModel *m, mjData *d, int instance) {
@@ -96,7 +121,8 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
     struct node *node = node_of(m, d, instance);
     mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
-    node->board.encoder_count = (int32_t)mju_clip(count, -2e9, 2e9);
+    board_set_encoder(&node->board, (int32_t)mju_clip(count, -2e9, 2e9));
+    charge(&node->board, m->opt.timestep);
     node->board.true_us += (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
     device_poll(&node->device, &node->board);
 }

@@ -4,12 +4,16 @@
 // should have: a harness that only ever sees refusals would prove little.
 #include "board.h"
 #include "cobs.h" // packets
+#include "command.h"
+#include "gap.h"
+#include "group.h"
+#include "store.h"
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define POLLS 100000
-#define LIVES 20 // the device is flashed anew so often
+#define POLLS 1000000
+#define LIVES 20 // so many boards
 
 static uint64_t lcg = 20240229;
 
@@ -65,7 +69,8 @@ static struct gate_limits random_limits(void) {
     int32_t size = below(2) ? GATE_POINT_MAX : (int32_t)below(GATE_POINT_MAX);
     int32_t difference = below(2) ? GATE_DIFFERENCE_MAX : 1 + (int32_t)below(GATE_DIFFERENCE_MAX);
     int32_t second = below(2) ? INT32_MAX : 1 + (int32_t)below(1u << 27);
-    return (struct gate_limits){-size, size, difference, second};
+    int32_t stop = below(2) ? 0 : (int32_t)below(2 * GATE_DIFFERENCE_MAX + 1);
+    return (struct gate_limits){!below(4), -size, size, difference, second, stop};
 }
 
 static struct servo_settings random_servo(void) {
@@ -76,6 +81,7 @@ static struct servo_settings random_servo(void) {
         .velocity_tq = random_scale(),
         .resistance_mV = random_scale(),
         .emf_mV = random_scale(),
+        .emf_tq = random_scale(),
         .supply_duty = random_scale(),
         .torque_limit_tq = below(2) ? SERVO_TORQUE_MAX : 1 + (int32_t)below(SERVO_TORQUE_MAX),
         .integrate_running = below(2),
@@ -121,6 +127,7 @@ static void servos(void) {
                 .kp = random_scale(),
                 .ki = random_scale(),
                 .kd = random_scale(),
+                .feedback_limit_tq = below(2) ? SERVO_FEEDBACK_FREE : (int32_t)below(1 << 30),
                 .integrate = below(2),
             };
             int32_t duty = servo_step(&settings, &servo, &setpoint, extreme32());
@@ -129,6 +136,163 @@ static void servos(void) {
             PROMISE(servo.torque_tq >= -settings.torque_limit_tq);
         }
     }
+}
+
+static int32_t positive32(void) {
+    int64_t value = extreme64();
+    return value < 0 || value > INT32_MAX ? INT32_MAX : value == 0 ? 1 : (int32_t)value;
+}
+
+// Anything that settings_valid lets pass.
+static struct monitor_settings random_monitor(void) {
+    int32_t low = extreme32(), high = extreme32();
+    return (struct monitor_settings){
+        .following_pq = positive32(),
+        .following_periods = (uint16_t)below(below(2) ? 9 : 65536),
+        .speed_pq = positive32(),
+        .bounded = below(2),
+        .low_pq = low < high ? low : high,
+        .high_pq = low < high ? high : low,
+        .deceleration_q16 = positive32(),
+        .torque_periods = below(2) ? below(9) : random32(),
+        .load_q8 = random_scale(),
+        .overload = below(2) ? below(1000) : random32(),
+        .heating_q16 = (uint16_t)random32(),
+        .rise_q16 = positive32(),
+        .stuck_pq = positive32(),
+        .stuck_periods = below(2) ? below(9) : random32(),
+        .spike_counts = below(2) ? (1 << 18) - 1 : 1 + (int32_t)below((1 << 18) - 1),
+        .supply_min_mV = extreme32(),
+        .supply_max_mV = extreme32(),
+        .chopper_mV = extreme32(),
+        .late_us = below(2) ? UINT32_MAX : random32(),
+    };
+}
+
+static void monitors(void) {
+    uint32_t found[REASONS] = {0};
+    for (int32_t n = 0; n < 1000; n++) {
+        struct monitor_settings settings = random_monitor();
+        struct monitor monitor = {0};
+        int32_t count = extreme32(), step = (int32_t)between(-(1 << 18), 1 << 18);
+        step = below(2) ? step : 0;
+        for (int32_t i = 0; i < 600; i++) {
+            struct observation seen = {
+                .count = count = below(200) ? fixed_sum(count, step) : extreme32(),
+                .position_pq = below(2) ? clip(extreme64(), 1 << 30) : clip(count, 1 << 30),
+                .setpoint_pq = extreme32(),
+                .error_pq = clip(extreme64(), (1 << 29) - 1),
+                .torque_tq = clip(extreme64(), SERVO_TORQUE_MAX),
+                .torque_limit_tq = below(2) ? SERVO_TORQUE_MAX : 1 + (int32_t)below(1 << 25),
+                .feedback_tq = clip(extreme64(), 1 << 29),
+                .clipped = below(2),
+                .supply_mV = extreme32(),
+                .late_us = random32(),
+                .power = below(8),
+                .driven = below(8),
+                .bounded = below(2),
+                .seeks_stop = below(2),
+            };
+            found[monitor_step(&settings, &monitor, &seen).reason]++;
+            PROMISE(monitor.overload >= 0 && monitor.rise_q16 >= 0);
+        }
+    }
+    static const uint8_t measured[] = {
+        REASON_FOLLOWING, REASON_SPEED,   REASON_ROOM,         REASON_TORQUE,
+        REASON_I2T,       REASON_WINDING, REASON_LATE,         REASON_STUCK,
+        REASON_REVERSED,  REASON_SPIKE,   REASON_UNDERVOLTAGE, REASON_OVERVOLTAGE,
+    };
+    for (uint32_t i = 0; i < sizeof measured; i++)
+        PROMISE(found[measured[i]] > 0);
+}
+
+static void ramps(void) {
+    for (int32_t n = 0; n < 5000; n++) {
+        struct ramp ramp;
+        ramp_start(&ramp, extreme32(), clip(extreme64(), 1 << 28),
+                   clip(extreme64(), SERVO_TORQUE_MAX), clip(extreme64(), SERVO_TORQUE_MAX));
+        int32_t deceleration_q16 = positive32(), step_tq = positive32();
+        for (int32_t i = 0; i < 50; i++) {
+            int64_t before = ramp.velocity_q16;
+            ramp_step(&ramp, deceleration_q16, step_tq);
+            PROMISE(before < 0 ? ramp.velocity_q16 <= 0 && ramp.velocity_q16 > before
+                               : ramp.velocity_q16 >= 0 && ramp.velocity_q16 <= before);
+            ramp_position_pq(&ramp);
+            ramp_velocity_pq(&ramp);
+        }
+    }
+}
+
+static struct home_settings random_home(void) {
+    return (struct home_settings){
+        .method = (uint8_t)below(HOME_METHODS),
+        .backwards = below(2),
+        .mark_count = extreme32(),
+        .speed_q16 = 1 + (int32_t)below(1 << 29),
+        .acceleration_q16 = positive32(),
+        .torque_tq = positive32(),
+        .way_counts = positive32(),
+        .still_periods = (uint16_t)below(50),
+    };
+}
+
+static void homes(void) {
+    uint32_t results[3] = {0};
+    for (int32_t n = 0; n < 5000; n++) {
+        struct home_settings settings = random_home();
+        struct home home = {0};
+        int32_t count = extreme32();
+        home_begin(&settings, &home, below(4) ? TASK_HOME : TASK_JOG, extreme32(), count,
+                   extreme32());
+        for (int32_t i = 0; i < 60; i++) {
+            struct home_marks marks = {
+                .count = below(4) ? count : (count = extreme32()),
+                .indexed = !below(20),
+                .index_count = extreme32(),
+                .on_switch = !below(3),
+                .pushing = below(10),
+            };
+            results[home_step(&settings, &home, &marks)]++;
+            PROMISE(home.velocity_q16 <= settings.speed_q16);
+            PROMISE(home.velocity_q16 >= -settings.speed_q16);
+            home_position_pq(&home);
+            home_velocity_pq(&home);
+        }
+    }
+    PROMISE(results[TASK_RUNS] > 100 && results[TASK_DONE] > 100 && results[TASK_FAILED] > 100);
+}
+
+static void gaps(void) {
+    static struct track tracks[TRACK_COUNT];
+    static struct plan plan;
+    uint32_t filled = 0;
+    for (int32_t n = 0; n < 20000; n++) {
+        uint8_t policies[TRACK_COUNT];
+        int64_t end = between(-(1LL << 50), 1LL << 50);
+        plan.tracks = (uint8_t)(1 + below((1 << TRACK_COUNT) - 1));
+        plan.count = (uint8_t)(below(4) ? 3 + below(10) : 120 + below(9));
+        plan.first_knot = below(8) ? end + (int64_t)below(8) : extreme64() / 2;
+        for (int32_t sink = 0; sink < TRACK_COUNT; sink++) {
+            policies[sink] = (uint8_t)below(GAP_POLICIES);
+            int32_t points[3] = {extreme32(), extreme32(), extreme32()};
+            memset(&tracks[sink], 0, sizeof tracks[sink]);
+            if (below(4))
+                track_write(&tracks[sink], end - 2 - (int64_t)below(3), points, 3);
+            for (int32_t i = 0; i < plan.count; i++)
+                plan.points[sink][i] = extreme32();
+        }
+        gap_verdict(policies, tracks, &plan);
+        int64_t missing = gap_knots(tracks, &plan), first_knot = plan.first_knot;
+        if (missing > GAP_FILL_MAX)
+            continue;
+        uint8_t count = plan.count;
+        bool fits = gap_fill(policies, tracks, &plan);
+        PROMISE(fits == (count + missing <= PLAN_POINTS_MAX));
+        PROMISE(!fits ||
+                (plan.count == count + missing && plan.first_knot == first_knot - missing));
+        filled += fits && missing > 0;
+    }
+    PROMISE(filled > 1000);
 }
 
 static void gates(void) {
@@ -159,6 +323,11 @@ static void gates(void) {
 static void decoders(void) {
     static struct plan plan;
     static struct status status;
+    static struct fault_log faults;
+    struct device_settings settings;
+    struct nonces nonces = {{0}, {0}};
+    struct session group, session = {0};
+    struct command command;
     struct stamps stamps;
     for (int32_t n = 0; n < 50000; n++) {
         int32_t size = (int32_t)below(below(2) ? 60 : 400);
@@ -172,6 +341,14 @@ static void decoders(void) {
         sync_decode(bytes, size, &stamps);
         plan_decode(bytes, size, &stamps, &plan);
         status_decode(bytes, size, &status);
+        command_decode(bytes, size, &command);
+        fault_log_decode(bytes, size, &faults);
+        settings_decode(bytes, size, below(2), &settings);
+        hello_decode(bytes, size, nonces.host);
+        welcome_decode(nonces.device, bytes, size, &nonces);
+        frame_open(&session, bytes, size);
+        if (size >= FRAME_HEADER_BYTES)
+            group_decode(&session, bytes, size - FRAME_HEADER_BYTES, &group);
         PROMISE(cobs_decode(bytes, size) <= size);
         free(bytes);
     }
@@ -180,27 +357,44 @@ static void decoders(void) {
 // ---- the device
 
 struct host {
-    struct session session;
+    uint8_t key[SIPHASH_KEY_BYTES];
+    struct nonces nonces;
+    struct session session, group;
     struct stamps stamps;
-    uint32_t number;
+    uint32_t number, commands;
+    uint16_t epoch;
     int64_t first_knot; // of its first plan
     int32_t rest_pq;
     uint8_t frame[FRAME_MAX];
 };
 
 struct tally {
-    uint32_t states[DEVICE_HOLD + 1], refusals[GATE_SINK + 1], bad, accepted, statuses;
+    uint32_t states[DEVICE_STATES], bad, accepted, statuses, sessions, settings, dark;
 };
 
-static void send(struct host *host, struct board *board, enum frame_type type, int32_t size) {
+static void deliver(struct board *board, const uint8_t *frame, int32_t size) {
     uint8_t packet[COBS_BOUND(FRAME_MAX)];
-    if (size < 0)
-        return;
-    size = frame_seal(&host->session, type, host->frame, size);
-    size = cobs_encode(host->frame, size, packet);
+    size = cobs_encode(frame, size, packet);
     if (!below(20))
         packet[below((uint32_t)size)] ^= (uint8_t)(1 << below(8));
     board_deliver(board, board->true_us + (int64_t)below(300), packet, size);
+}
+
+static void send(struct host *host, struct board *board, enum frame_type type, int32_t size) {
+    bool grouped = host->group.begun && type != FRAME_GROUP && !below(20);
+    if (size >= 0)
+        size = frame_seal(grouped ? &host->group : &host->session, type, host->frame, size);
+    if (size >= 0)
+        deliver(board, host->frame, size);
+}
+
+static void send_hello(struct host *host, struct board *board) {
+    uint8_t frame[HANDSHAKE_BYTES];
+    if (!below(10))
+        for (int32_t i = 0; i < NONCE_BYTES; i++)
+            host->nonces.host[i] = (uint8_t)random32();
+    hello_encode(host->nonces.host, frame);
+    deliver(board, frame, HANDSHAKE_BYTES);
 }
 
 static void send_noise(struct host *host, struct board *board) {
@@ -209,7 +403,7 @@ static void send_noise(struct host *host, struct board *board) {
     for (int32_t i = 0; i < size; i++)
         payload[i] = (uint8_t)random32();
     if (below(2)) { // signed, so that it reaches what parses it
-        send(host, board, (enum frame_type)below(5), size);
+        send(host, board, (enum frame_type)below(FRAME_SETTINGS + 2), size);
     } else {
         for (int32_t i = 0; i < size; i++)
             payload[i] |= payload[i] == 0;
@@ -228,23 +422,46 @@ static void send_sync(struct host *host, struct board *board, bool hostile) {
     send(host, board, FRAME_SYNC, sync_encode(&stamps, payload, FRAME_PAYLOAD_MAX));
 }
 
+static void send_command(struct host *host, struct node *node, bool sane) {
+    struct command command = {++host->commands, (uint8_t)below(COMMAND_KINDS + 1), 0,
+                              ++host->epoch};
+    command.argument = sane ? (int32_t)between(-1000, 1000) : extreme32();
+    if (below(2)) // what leads on
+        command.kind = node->device.state == DEVICE_IDLE   ? COMMAND_ARM
+                       : node->device.state == DEVICE_HOLD ? COMMAND_RESUME
+                                                           : COMMAND_CLEAR;
+    uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
+    send(host, &node->board, FRAME_COMMAND, command_encode(&command, payload, FRAME_PAYLOAD_MAX));
+}
+
+static void send_group(struct host *host, struct board *board) {
+    uint8_t key[SIPHASH_KEY_BYTES];
+    for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++)
+        key[i] = (uint8_t)random32();
+    session_begin(&host->group, random32(), TO_DEVICE, key, key);
+    uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
+    send(host, board, FRAME_GROUP,
+         group_encode(&host->session, &host->group, payload, FRAME_PAYLOAD_MAX));
+}
+
 // From resting plans around the live knots to points that are anything.
 static void send_plan(struct host *host, struct node *node, int32_t wildness) {
     static struct plan plan;
     const struct device *device = &node->device;
     int64_t knot = device->clock.system_us >> device->settings.knot_shift;
-    if (device->state == DEVICE_IDLE) {
-        host->first_knot = knot + (int64_t)below(8);
-        host->rest_pq =
-            clip((int64_t)node->board.encoder_count * 1024 + between(-1000, 1000), GATE_POINT_MAX);
+    bool first = device->state == DEVICE_ARMED;
+    if (first) {
+        host->first_knot = knot + GATE_LIVE_KNOTS + (int64_t)below(8);
+        host->rest_pq = clip((int64_t)device->position_pq + between(-1000, 1000), GATE_POINT_MAX);
     }
     plan.number = ++host->number;
+    plan.epoch = device->status.epoch;
     plan.first_knot = host->first_knot;
     int64_t end = device->tracks[TRACK_POSITION].end;
-    if (device->state != DEVICE_IDLE)
+    if (!first)
         plan.first_knot = knot - (int64_t)below(20);
-    if (plan.first_knot > end + 1 && device->state != DEVICE_IDLE)
-        plan.first_knot = end + 1;
+    if (plan.first_knot > end + 1 && !first)
+        plan.first_knot = end + 1 + (int64_t)(below(10) ? 0 : below(6));
     plan.count = (uint8_t)(3 + below(60));
     plan.tracks = (uint8_t)(1 | (device->tracks[TRACK_TORQUE].written || below(2)) << 1 |
                             (device->tracks[TRACK_KP].written || !below(4)) << 2);
@@ -256,7 +473,7 @@ static void send_plan(struct host *host, struct node *node, int32_t wildness) {
         for (int32_t i = 0; i < plan.count; i++) {
             if (track->written && plan.first_knot + i < free_knot) {
                 last = track_point(track, plan.first_knot + i);
-            } else if (device->state != DEVICE_IDLE && i < plan.count - 3) {
+            } else if (!first && i < plan.count - 3) {
                 step = clip(step + between(-50000, 50000), 100000);
                 last = clip(last + (sink == TRACK_POSITION ? step : step / 100), GATE_POINT_MAX);
             }
@@ -270,50 +487,180 @@ static void send_plan(struct host *host, struct node *node, int32_t wildness) {
     if (!below(30))
         plan.tracks = (uint8_t)(1 + below(31));
     struct stamps stamps = host->stamps;
-    stamps.sent_us = below(30) ? board_count_us(&node->board) + host->stamps.sent_us : extreme64();
-    stamps.sent_us = below(30) ? node->device.clock.system_us : stamps.sent_us;
+    stamps.sent_us = below(30) ? node->device.clock.system_us : extreme64();
     stamps.status_us = below(3) ? 0 : stamps.status_us;
     uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
     send(host, &node->board, FRAME_PLAN, plan_encode(&stamps, &plan, payload, FRAME_PAYLOAD_MAX));
 }
 
-static void read_statuses(struct host *host, struct board *board, struct tally *tally) {
+static struct device_settings random_settings(bool sane) {
+    struct device_settings settings = {.name = "any", .servo = random_servo()};
+    settings.knot_shift = (uint8_t)(9 + below(7));
+    settings.servo_period_us = (uint16_t)(sane ? 1000 : 1 + below(65535));
+    settings.sample_every = (uint16_t)(1 + below(4));
+    settings.brake_periods = (uint16_t)below(20);
+    settings.stop_us = sane ? 300000 : random32();
+    settings.sync_lost_us = sane ? 1000000 : random32();
+    settings.torque_step_tq = sane ? 1000 : 1 + (int32_t)below(INT32_MAX);
+    settings.knot_periods = sane ? (struct scale){4, 0} : random_scale();
+    settings.offset_count = sane ? 0 : extreme32();
+    settings.carries_gravity = below(2);
+    settings.home.method = (uint8_t)below(HOME_METHODS);
+    settings.home.backwards = below(2);
+    settings.home.mark_count = sane ? 7 : extreme32();
+    settings.home.speed_q16 = (int32_t)below((1 << 29) + 1);
+    settings.home.acceleration_q16 = 1 + (int32_t)below(1u << (sane ? 20 : 29));
+    settings.home.torque_tq = (int32_t)below(1 << 25);
+    settings.home.way_counts = (int32_t)below(sane ? 200 : INT32_MAX);
+    settings.home.still_periods = (uint16_t)below(65536);
+    if (sane)
+        settings.home.method = HOME_NONE;
+    struct monitor_settings *m = &settings.monitor;
+    uint32_t most = sane ? 1 : 1u << 30; // below it, anything
+    int32_t least = sane ? 1 << 29 : 1;
+    m->following_pq = least + (int32_t)below(most);
+    m->following_periods = (uint16_t)random32();
+    m->speed_pq = least + (int32_t)below(most);
+    m->bounded = sane ? 0 : below(2);
+    m->low_pq = -(int32_t)below(1u << 30);
+    m->high_pq = (int32_t)below(1u << 30);
+    m->deceleration_q16 = sane ? 1 << 20 : 1 + (int32_t)below(INT32_MAX);
+    m->torque_periods = sane ? UINT32_MAX : random32();
+    m->load_q8 = sane ? (struct scale){1, 31} : random_scale();
+    m->overload = sane ? 1u << 30 : random32();
+    m->heating_q16 = (uint16_t)random32();
+    m->rise_q16 = least + (int32_t)below(most);
+    m->stuck_pq = least + (int32_t)below(most);
+    m->stuck_periods = sane ? UINT32_MAX : random32();
+    m->spike_counts = sane ? (1 << 18) - 1 : 1 + (int32_t)below((1 << 18) - 1);
+    m->supply_min_mV = sane ? 0 : extreme32();
+    m->supply_max_mV = sane ? INT32_MAX : extreme32();
+    m->chopper_mV = sane ? INT32_MAX : extreme32();
+    m->late_us = sane ? UINT32_MAX : random32();
+    for (int32_t sink = 0; sink < TRACK_COUNT; sink++) {
+        settings.gap_policy[sink] = (uint8_t)below(GAP_POLICIES);
+        settings.limits[sink] =
+            sane ? (struct gate_limits){false, -GATE_POINT_MAX, GATE_POINT_MAX, 1 << 25, 1 << 26, 0}
+                 : random_limits();
+    }
+    return settings;
+}
+
+static struct device_settings valid_settings(bool sane) {
+    struct device_settings settings = random_settings(sane);
+    while (!settings_valid(&settings))
+        settings = random_settings(sane);
+    return settings;
+}
+
+static void send_settings(struct host *host, struct board *board, bool sane) {
+    struct device_settings settings = sane ? valid_settings(true) : random_settings(false);
+    uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
+    send(host, board, FRAME_SETTINGS,
+         below(2) ? settings_encode(&settings, false, payload, FRAME_PAYLOAD_MAX) : 0);
+}
+
+static void read_welcome(struct host *host, const uint8_t *frame, int32_t size) {
+    struct session session;
+    if (welcome_decode(host->key, frame, size, &host->nonces) != WELCOME_OK)
+        return;
+    handshake_session(host->key, &host->nonces, TO_DEVICE, &session);
+    if (session.number == host->session.number) // the same WELCOME again
+        return;
+    host->session = session;
+    host->group.begun = false;
+    host->commands = host->number = 0;
+}
+
+static void read_outbox(struct host *host, struct board *board, struct tally *tally) {
     static struct status status;
+    static struct fault_log faults;
+    static struct device_settings settings;
     for (int32_t i = 0; i < BOARD_OUTBOX; i++) {
         struct parcel *parcel = &board->outbox[i];
         if (parcel->size == 0)
             continue;
         int32_t size = cobs_decode(parcel->bytes, parcel->size);
-        PROMISE(frame_open(&host->session, parcel->bytes, size) == FRAME_OK);
-        size -= FRAME_HEADER_BYTES + FRAME_TAG_BYTES;
-        PROMISE(status_decode(parcel->bytes + FRAME_HEADER_BYTES, size, &status));
-        host->stamps.status_us = status.sent_us;
-        host->stamps.status_received_us = parcel->time_us;
-        tally->statuses++;
+        const uint8_t *payload = parcel->bytes + FRAME_HEADER_BYTES;
         parcel->size = 0;
+        PROMISE(size > 2);
+        if (parcel->bytes[1] == FRAME_WELCOME) {
+            read_welcome(host, parcel->bytes, size);
+            continue;
+        }
+        if (frame_open(&host->session, parcel->bytes, size) != FRAME_OK)
+            continue; // of a session that the host has left
+        size -= FRAME_HEADER_BYTES + FRAME_TAG_BYTES;
+        if (parcel->bytes[1] == FRAME_STATUS) {
+            PROMISE(status_decode(payload, size, &status));
+            host->stamps.status_us = status.sent_us;
+            host->stamps.status_received_us = parcel->time_us;
+            tally->statuses++;
+        } else if (parcel->bytes[1] == FRAME_SETTINGS) {
+            PROMISE(settings_decode(payload, size, false, &settings));
+            PROMISE(settings_valid(&settings));
+            tally->settings++;
+        } else {
+            PROMISE(parcel->bytes[1] == FRAME_FAULTS);
+            PROMISE(fault_log_decode(payload, size, &faults));
+        }
     }
 }
 
+// As a programmer does; into memory that may be anything before.
 static void flash(struct node *node, struct host *host, bool sane) {
-    struct device_settings settings = {.session = random32(), .servo = random_servo()};
-    for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++)
-        settings.key[i] = (uint8_t)random32();
-    settings.knot_shift = (uint8_t)(9 + below(7));
-    settings.servo_period_us = (uint16_t)(sane ? 1000 : 1 + below(65535));
-    settings.sample_every = (uint16_t)(1 + below(4));
-    for (int32_t sink = 0; sink < TRACK_COUNT; sink++)
-        settings.limits[sink] =
-            sane ? (struct gate_limits){-GATE_POINT_MAX, GATE_POINT_MAX, 1 << 25, 1 << 26}
-                 : random_limits();
+    struct device_settings settings = valid_settings(sane);
     memset(node, 0, sizeof *node);
+    memset(host, 0, sizeof *host);
+    for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++)
+        host->key[i] = settings.key[i] = (uint8_t)random32();
     node->board.true_us = sane ? (int64_t)below(2) * 1700000000000000 : between(0, 1LL << 50);
     node->board.count_offset = between(-(1LL << 40), 1LL << 40);
     node->board.drift_ppb = (int32_t)between(-100000, 100000);
-    memset(host, 0, sizeof *host);
-    memcpy(host->session.key, settings.key, sizeof settings.key);
-    host->session.number = settings.session;
-    host->session.send_direction = TO_DEVICE;
-    device_init(&node->device, &settings, board_count_us(&node->board));
+    node->board.random = random32();
+    node->board.supply_V = 24;
+    PROMISE(store_save_settings(&node->board, &settings));
+    device_boot(&node->device, &node->board, board_count_us(&node->board));
+    PROMISE(node->device.configured && node->device.boots == 1);
+}
+
+// A power cycle, perhaps with a byte or the end of a record gone.
+static void reboot(struct node *node, struct tally *tally) {
+    static struct memory saved[RECORDS];
+    memcpy(saved, node->board.memory, sizeof saved);
+    struct memory *memory = &node->board.memory[below(RECORDS)];
+    if (memory->size > 0 && below(2))
+        memory->bytes[below((uint32_t)memory->size)] ^= (uint8_t)(1 << below(8));
+    else if (memory->size > 0 && below(2))
+        memory->size = (int32_t)below((uint32_t)memory->size);
+    device_boot(&node->device, &node->board, board_count_us(&node->board));
+    if (node->device.configured)
+        return;
+    tally->dark++;
+    for (int32_t i = 0; i < 10; i++) {
+        device_poll(&node->device, &node->board);
+        PROMISE(!node->board.power && node->board.brake && node->board.duty_q15 == 0);
+    }
+    memcpy(node->board.memory, saved, sizeof saved); // the programmer mends it
+    device_boot(&node->device, &node->board, board_count_us(&node->board));
+}
+
+static void speak(struct node *node, struct host *host, bool sane) {
+    uint32_t what = below(100);
+    if (what < 4)
+        send_hello(host, &node->board);
+    else if (what < 12 || (what < 50 && !node->device.clock.synced))
+        send_sync(host, &node->board, !sane && !below(4));
+    else if (what < 22)
+        send_plan(host, node, sane ? (below(5) ? 0 : 30) : 40);
+    else if (what < (sane ? 24 : 34))
+        send_noise(host, &node->board);
+    else if (what < 36)
+        send_command(host, node, sane);
+    else if (what == 50 && !below(4))
+        send_group(host, &node->board);
+    else if (what == 51 && !below(4))
+        send_settings(host, &node->board, sane);
 }
 
 static void live(struct tally *tally, bool sane) {
@@ -321,6 +668,7 @@ static void live(struct tally *tally, bool sane) {
     static struct host host;
     flash(&node, &host, sane);
     uint64_t motion_us = 0;
+    uint32_t number = 0;
     for (int32_t n = 0; n < POLLS / LIVES; n++) {
         node.board.true_us += (int64_t)(sane || below(1000) ? below(250) : below(1000000));
         motion_us += 1;
@@ -328,37 +676,47 @@ static void live(struct tally *tally, bool sane) {
             node.board.encoder_count = (int32_t)(motion_us / 50 % 100) - 50;
         else
             node.board.encoder_count = below(4) ? extreme32() : (int32_t)between(-100, 100);
-        uint32_t what = below(100);
-        if (what < 8 || (what < 30 && !node.device.clock.synced))
-            send_sync(&host, &node.board, !sane && !below(4));
-        else if (what < 18)
-            send_plan(&host, &node, sane ? (below(5) ? 0 : 30) : 40);
-        else if (what < (sane ? 20 : 30))
-            send_noise(&host, &node.board);
+        if (!sane && !below(50))
+            node.board.supply_V = below(60);
+        if (!below(node.board.stop_line ? 200 : 8000))
+            node.board.stop_line = !node.board.stop_line;
+        if (!below(5000))
+            reboot(&node, tally);
+        speak(&node, &host, sane);
+        uint32_t accepted = node.device.status.counters.plans_accepted;
         device_poll(&node.device, &node.board);
-        read_statuses(&host, &node.board, tally);
+        tally->accepted += node.device.status.counters.plans_accepted - accepted;
+        read_outbox(&host, &node.board, tally);
         tally->states[node.device.state]++;
+        tally->sessions += node.device.session.begun && node.device.session.number != number;
+        number = node.device.session.number;
         PROMISE(node.board.duty_q15 <= SERVO_DUTY_MAX && node.board.duty_q15 >= -SERVO_DUTY_MAX);
+        PROMISE(node.device.state == DEVICE_FAULT || settings_valid(&node.device.settings));
+        PROMISE(memcmp(node.device.settings.key, host.key, sizeof host.key) == 0);
     }
-    tally->refusals[node.device.status.refusal]++;
     tally->bad += node.device.status.counters.frames_bad;
-    tally->accepted += node.device.status.counters.plans_accepted;
 }
 
 int main(void) {
     struct tally tally = {0};
     splines();
     servos();
+    monitors();
+    ramps();
+    homes();
+    gaps();
     gates();
     decoders();
     for (int32_t i = 0; i < LIVES; i++)
         live(&tally, i % 4 != 3);
-    for (int32_t state = DEVICE_UNSYNCED; state <= DEVICE_HOLD; state++) {
+    for (int32_t state = DEVICE_BOOT; state < DEVICE_STATES; state++)
         printf("state %d: %u polls\n", state, tally.states[state]);
+    printf(
+        "%u plans accepted, %u bad frames, %u statuses, %u sessions, %u settings, %u times dark\n",
+        tally.accepted, tally.bad, tally.statuses, tally.sessions, tally.settings, tally.dark);
+    for (int32_t state = DEVICE_UNSYNCED; state < DEVICE_STATES; state++)
         PROMISE(tally.states[state] > 100);
-    }
-    printf("%u plans accepted, %u bad frames, %u statuses\n", tally.accepted, tally.bad,
-           tally.statuses);
     PROMISE(tally.accepted > 200 && tally.bad > 1000 && tally.statuses > 500);
+    PROMISE(tally.sessions > 100 && tally.settings > 20 && tally.dark > 0);
     return 0;
 }

@@ -15,7 +15,8 @@ from headway.configs.axis import LinearAxis, RotaryAxis
 from headway.configs.load import ConfigError, load_config
 from headway.configs.save import save_config
 from headway.configs.schema import Config, Device, Loop
-from headway.devices.axis import AxisUnits, device_settings, position_limits, torque_limits
+from headway.devices.axis import AxisUnits, position_limits, torque_limits
+from headway.devices.settings import device_settings
 from headway.firmware import _core
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -67,10 +67,13 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
         ),
         {"task: acceleration at the gate": "warn"},
     ),
-    (axis(0, torque_limit_Nm=10), {"task: effort along it": "warn"}),
+    (
+        axis(0, torque_limit_Nm=10),
+        {"task: effort along it": "warn", "stop: effort for its deceleration": "warn"},
+    ),
     (
         (*axis(0, torque_limit_Nm=6.5), "task.axes.0={offset_rad: 1.5708, amplitude_rad: 0.01}"),
-        {"range: effort to hold any pose": "warn"},
+        {"range: effort to hold any pose": "warn", "stop: effort for its deceleration": "warn"},
     ),
     (
         (
@@ -78,7 +81,11 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
             "task.axes.0={offset_rad: 1.5708, amplitude_rad: 0.01}",
             "sim.start_rad_or_m=[0, 0]",
         ),
-        {"range: effort to hold any pose": "warn", "start: effort to hold it": "warn"},
+        {
+            "range: effort to hold any pose": "warn",
+            "start: effort to hold it": "warn",
+            "stop: effort for its deceleration": "warn",
+        },
     ),
     (
         axis(0, acceleration_limit_rad_per_s2=60),
@@ -87,6 +94,10 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     (
         ("mpc.intervals=8", "mpc.horizon_us=65536"),
         {"horizon: to stop from the task": "warn"},
+    ),
+    (
+        axis(0, stop_deceleration_rad_per_s2=25),
+        {"stop: effort for its deceleration": "warn"},
     ),
     (("machine.axes.0.motor.gear=31",), {"board: motor as in the model": "FAIL"}),
     (
@@ -351,7 +362,8 @@ def test_json_of_what_never_ends(check: Run) -> None:
 
 
 def test_table(check: Run) -> None:
-    code, out, err = check(str(ARM2), "--set", "machine.axes.0.torque_limit_Nm=10")
+    overrides = axis(0, torque_limit_Nm=10, stop_deceleration_rad_per_s2=10)
+    code, out, err = check(str(ARM2), *(f"--set={override}" for override in overrides))
     assert (code, err) == (0, "")
     (line,) = [line for line in out.splitlines() if line.startswith("warn  ")]
     assert line.split()[-3:] == ["8.86", "8.5", "Nm"] and " q1 " in line

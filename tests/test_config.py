@@ -448,11 +448,11 @@ def test_saved_config_has_every_key(tmp_path: Path) -> None:
 UNITS = re.compile(
     r"_(rad|rad_per_s|rad_per_s2|s|us|Hz|Nm|Nm_per_rad|Nm_per_rad_s|Nm_s_per_rad|V|ohm|Nm_per_A"
     r"|m|m_per_s|m_per_s2|N|N_per_m|N_per_m_s|N_s_per_m|rad_per_m|Nm_or_N|rad_or_m"
-    r"|rad_or_m_per_s15|Nm_or_N_per_s05|ppm|counts|sigma|scale|share|share_end|weight)$"
+    r"|rad_or_m_per_s15|Nm_or_N_per_s05|A|F|ppm|counts|sigma|scale|share|share_end|weight)$"
 )
 PURE_NUMBERS = {
     "seed", "gear", "counts_per_turn", "counts_per_m", "sample_every", "harmonic", "intervals",
-    "max_iterations", "fade_start", "fade_end", "loss", "reorder",
+    "max_iterations", "fade_start", "fade_end", "loss", "loss_run", "reorder",
 }  # fmt: skip
 
 

@@ -1,158 +1,36 @@
 """The whole device, run against a host session: what it does with time, plans, losses and lies."""
 
 import random
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rig import (
+    BRAKE_PERIODS,
+    COUNT_PQ,
+    KD,
+    KNOT_US,
+    KP,
+    PERIOD_US,
+    POLL_US,
+    POSITION,
+    SHIFT,
+    TORQUE,
+    Plan,
+    Points,
+    Rig,
+    State,
+    device_settings,
+    ramp,
+    synced_rig,
+)
 
 from headway.firmware import _core
 from headway.sim import _board
 
-KEY, SESSION = bytes(range(100, 116)), 0xC0FFEE
-SHIFT, KNOT_US = 12, 4096
-POLL_US, PERIOD_US = 250, 1000
-COUNT_PQ = 1 << _core.COUNT_BITS
-UNSYNCED, IDLE, RUNNING, COAST, HOLD = range(5)
-assert _core.STATES == ["UNSYNCED", "IDLE", "RUNNING", "COAST", "HOLD"]
-POSITION, TORQUE, KP, KD = (
-    *(_core.TRACK_POSITION, _core.TRACK_TORQUE),
-    *(_core.TRACK_KP, _core.TRACK_KD),
-)
-
-Points = list[int]
-Plan = dict[int, Points]
-
-
-def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
-    """A quarter of a torque quantum per pq, 1 mV per 1024 tq, a duty of one per mV."""
-    servo = _core.ServoSettings()
-    servo.kp_tq = _core.Scale(1, 2)
-    servo.ki_tq = _core.Scale(1, 0)
-    servo.resistance_mV = _core.Scale(1, 10)
-    servo.supply_duty = _core.Scale(1, 0)
-    servo.torque_limit_tq = 1 << 24
-    settings = _core.DeviceSettings()
-    settings.key, settings.session, settings.servo = KEY, SESSION, servo
-    settings.knot_shift, settings.servo_period_us = SHIFT, PERIOD_US
-    settings.sample_every = sample_every
-    settings.set_limits(POSITION, _core.GateLimits(-(1 << 28), 1 << 28, 1 << 20, 1 << 18))
-    settings.set_limits(TORQUE, _core.GateLimits(-(1 << 20), 1 << 20, 1 << 21, 1 << 22))
-    settings.set_limits(KP, _core.GateLimits(0, 1 << 24, 1 << 24, 1 << 25))
-    return settings
-
-
-class Rig:
-    """A node, a host and a wire of constant delay; true time runs in polls of 250 us."""
-
-    def __init__(
-        self,
-        epoch_us: int = 1_700_000_000_000_123,
-        count_offset: int = 12_345,
-        delay_us: int = 1000,
-        sample_every: int = 1,
-    ) -> None:
-        self.memory = np.zeros(_board.NODE_NUMBERS)
-        self.node = _board.Node(self.memory)
-        self.node.flash(device_settings(sample_every), count_offset)
-        self.host = _core.Session(KEY, SESSION)
-        self.epoch_us, self.delay_us = epoch_us, delay_us
-        self.now = 0  # true time
-        self.syncing = True
-        self.stamps = (0, 0)
-        self.number = 0
-        self.flying: list[tuple[int, bytes]] = []
-        self.statuses: list[_core.Status] = []
-        self.encoder: Callable[[int], int] = lambda true_us: 0
-
-    @property
-    def host_us(self) -> int:
-        return self.epoch_us + self.now
-
-    @property
-    def knot(self) -> int:
-        """The knot whose interval runs on the device."""
-        return self.node.system_us(self.now) >> SHIFT
-
-    def poll(self) -> None:
-        self.now += POLL_US
-        self.node.poll(self.now, self.encoder(self.now))
-        self.flying += [(t + self.delay_us, packet) for t, packet in self.node.collect()]
-        for arrival, packet in [f for f in self.flying if f[0] <= self.now]:
-            kind, payload = self.host.open(packet)
-            assert kind == _core.FRAME_STATUS
-            status = _core.status_decode(payload)
-            assert status is not None
-            self.statuses.append(status)
-            self.stamps = (status.sent_us, self.epoch_us + arrival)
-        self.flying = [f for f in self.flying if f[0] > self.now]
-        if self.syncing and self.now % 4000 == 0:
-            payload = _core.sync_encode((*self.stamps, self.host_us))
-            self.node.deliver(self.now + self.delay_us, self.host.seal(_core.FRAME_SYNC, payload))
-
-    def run(self, us: int) -> None:
-        for _ in range(us // POLL_US):
-            self.poll()
-
-    def run_to_knot(self, knot: int) -> None:
-        """To the first poll in or after the knot's interval."""
-        assert self.knot <= knot
-        while self.knot < knot:
-            self.poll()
-
-    def sync(self) -> "Rig":
-        while not self.node.synced:
-            assert self.now < 1_000_000
-            self.poll()
-        self.run(100_000)
-        return self
-
-    def plan(self, first_knot: int, tracks: Plan, number: int | None = None) -> bytes:
-        self.number = self.number + 1 if number is None else number
-        arrays = {s: np.array(p, dtype=np.int32) for s, p in tracks.items()}
-        stamps = (0, 0, self.host_us)
-        payload = _core.plan_encode(stamps, self.number, first_knot, arrays)
-        return self.host.seal(_core.FRAME_PLAN, payload)
-
-    def give(self, first_knot: int, tracks: Plan, number: int | None = None) -> str:
-        """Delivers a plan at once; returns the gate's result."""
-        return self.hand_over(self.plan(first_knot, tracks, number))
-
-    def hand_over(self, packet: bytes) -> str:
-        """Delivers a plan's packet at once; returns the gate's result."""
-        before = self.node.status
-        # Between servo periods: nothing but the packet happens.
-        self.node.deliver(self.now, packet)
-        self.node.poll(self.now, self.encoder(self.now))
-        after = self.node.status
-        assert after.frames_bad == before.frames_bad
-        if after.plans_accepted > before.plans_accepted:
-            return "accepted"
-        refused = (before.plans_late + before.plans_refused) + 1
-        assert after.plans_late + after.plans_refused == refused
-        reason = _core.GATE_RESULTS[after.refusal]
-        assert (after.plans_late > before.plans_late) == (reason == "late")
-        return reason
-
-    def start(self, count: int = 30, position: int = 0) -> int:
-        """Takes up a first plan at rest; returns its first knot."""
-        first = self.knot + _core.LIVE_KNOTS
-        assert self.give(first, {POSITION: [position] * count, TORQUE: [0] * count}) == "accepted"
-        return first
-
-    def setpoints(self, low_knot: int, high_knot: int) -> list[tuple[int, int, int]]:
-        """Position, rate and torque of the device's tracks, eight to a knot."""
-        times = range(low_knot << SHIFT, high_knot << SHIFT, KNOT_US // 8)
-        return [self.node.setpoint(t) for t in times]
-
-
-def ramp(first: int, start: int, count: int = 12) -> Points:
-    """At rest, a move of 2^17, at rest."""
-    step = 1 << 14
-    points = [start] * first + [start + step * i for i in range(1, 9)]
-    return points + [points[-1]] * max(3, count - len(points))
+UNSYNCED, IDLE, ARMED = State.UNSYNCED, State.IDLE, State.ARMED
+RUNNING, COAST, HOLD = State.RUNNING, State.COAST, State.HOLD
 
 
 # ---- sync
@@ -213,18 +91,18 @@ def test_takes_no_plan_unsynced() -> None:
 def test_first_plan_starts_at_the_measured_position(count: int) -> None:
     for excess, verdict in ((-1, "accepted"), (0, "accepted"), (1, "start")):
         for sign in (-1, 1):
-            rig = Rig(sample_every=3)
+            rig = Rig(settings=device_settings(sample_every=3))
             rig.encoder = lambda true_us: count
-            rig.sync()
+            rig.sync().arm()
             point = count * COUNT_PQ + sign * (64 * COUNT_PQ + excess)
             assert rig.give(rig.knot + 4, {POSITION: [point] * 4}) == verdict
-            assert rig.node.state == (RUNNING if verdict == "accepted" else IDLE)
+            assert rig.node.state == (RUNNING if verdict == "accepted" else ARMED)
 
 
 @pytest.mark.parametrize("sink", [POSITION, TORQUE])
 @pytest.mark.parametrize("length", [1, 2, 3])
 def test_first_plan_starts_at_rest(sink: int, length: int) -> None:
-    rig = Rig().sync()
+    rig = synced_rig().arm()
     tracks = {POSITION: [0] * 8, TORQUE: [100] * 8}
     tracks[sink] = [p + 1 for p in tracks[sink][:length]] + tracks[sink][length:]
     verdict = "accepted" if length == 3 else "start"
@@ -233,33 +111,41 @@ def test_first_plan_starts_at_rest(sink: int, length: int) -> None:
 
 @pytest.mark.parametrize("ahead", range(0, 6))
 def test_first_plan_is_ahead(ahead: int) -> None:
-    rig = Rig().sync()
+    rig = synced_rig().arm()
     verdict = rig.give(rig.knot + ahead, {POSITION: [0] * 4})
     assert verdict == ("accepted" if ahead >= _core.LIVE_KNOTS else "late")
 
 
 @pytest.mark.parametrize("tracks", [{TORQUE: [0] * 4}, {POSITION: [0] * 4, KD: [0] * 4}])
 def test_plan_has_a_position_and_only_tracks_with_limits(tracks: Plan) -> None:
-    rig = Rig().sync()
+    rig = synced_rig().arm()
     assert rig.give(rig.knot + 4, tracks) == "sink"
-    assert rig.node.state == IDLE
+    assert rig.node.state == ARMED
 
 
 @pytest.mark.parametrize("ahead", [3, 4, 11])
-def test_brake_is_released_at_the_plans_first_knot(ahead: int) -> None:
-    rig = Rig().sync()
-    first = rig.knot + ahead
+def test_brake_lets_go_in_time_for_the_plans_first_knot(ahead: int) -> None:
+    rig = synced_rig()
     torque = 50_000
+    rig.arm(torque)
+    rig.period()
+    first = rig.knot + ahead
     assert rig.give(first, {POSITION: [0] * 60, TORQUE: [torque] * 60}) == "accepted"
+    due = (first << SHIFT) - BRAKE_PERIODS * PERIOD_US
     while rig.node.brake:
-        assert rig.node.duty_q15 == 0
-        assert rig.node.system_us(rig.now) < (first << SHIFT) + PERIOD_US
+        assert rig.node.duty_q15 == torque >> 10  # the load is carried before the brake lets go
+        assert not rig.node.status.released
+        assert rig.node.system_us(rig.now) < due + PERIOD_US
         rig.poll()
-    assert first << SHIFT <= rig.node.system_us(rig.now) < (first << SHIFT) + PERIOD_US
-    assert rig.node.duty_q15 == torque >> 10  # the holding torque is there at once
+    assert due <= rig.node.system_us(rig.now) < due + PERIOD_US
+    let_go = rig.now
+    while not rig.node.status.released:
+        rig.poll()
+    assert rig.now - let_go == BRAKE_PERIODS * PERIOD_US
     for _ in range(400):
         rig.poll()
-        assert not rig.node.brake
+        assert not rig.node.brake and rig.node.power
+        assert rig.node.duty_q15 == torque >> 10
 
 
 # ---- running
@@ -308,12 +194,11 @@ def test_coasts_and_holds_without_plans() -> None:
     assert 0 <= states[COAST] - (coast << SHIFT) < PERIOD_US
     assert 0 <= states[HOLD] - (hold << SHIFT) < PERIOD_US
     assert list(states) == [RUNNING, COAST, HOLD]
+    assert rig.node.status.fault.reason == 0  # nothing is wrong
     assert rig.node.status.coasts == 1
     assert rig.statuses[-1].coasts == 1 and rig.statuses[-1].state == HOLD
     # the curve went on as planned, and holds with the last torque
-    assert rig.setpoints(first, end + 5) == expected
-    assert rig.node.setpoint((end - 1) << SHIFT) == (points[-1], 0, 700)
-    assert rig.node.setpoint((end + 1000) << SHIFT) == (points[-1], 0, 700)
+    assert expected[-1] == rig.node.setpoint(0) == (points[-1], 0, 700)
     assert not rig.node.brake
 
 
@@ -380,8 +265,23 @@ def test_integrator_works_in_hold_alone() -> None:
     assert rig.node.torque_tq == began - 100 * COUNT_PQ // 64
 
 
+def test_gains_beyond_a_scale_are_its_ends() -> None:
+    settings = device_settings()
+    settings.set_limits(KP, _core.GateLimits(-(1 << 27), 1 << 27, 1 << 25, 1 << 25))
+    rig = Rig(settings=settings)
+    rig.encoder = lambda true_us: -1
+    rig.sync().arm()
+    first = rig.knot + 4
+    gains = [-5 << 8] * 6 + [min(i * (1 << 23), 1 << 26) for i in range(16)] + [1 << 26] * 3
+    assert rig.give(first, {POSITION: [0] * len(gains), KP: gains}) == "accepted"
+    rig.run_to_knot(first)
+    assert rig.node.torque_tq == 0
+    rig.run_to_knot(first + len(gains) - 3)
+    assert rig.node.unclipped_tq == 65535 * COUNT_PQ >> 2
+
+
 def test_gain_track_replaces_the_settings() -> None:
-    rig = Rig().sync()
+    rig = synced_rig().arm()
     rig.encoder = lambda true_us: -16
     first = rig.knot + 4
     gains = [3 << 8] * 6 + [5 << 8] * 12
@@ -404,13 +304,13 @@ def rings(rig: Rig, values: Points) -> np.ndarray:
         int(np.flatnonzero(np.convolve(numbers == v, whole) == len(whole))[0]) - len(whole) + 1
         for v in values
     ]
-    return numbers[min(starts) - 8 : max(starts) + len(whole)]  # with `written` and `end`
+    return numbers[min(starts) - 4 : max(starts) + len(whole)]  # with `written` and `end`
 
 
 def test_a_plan_is_taken_whole_or_not_at_all() -> None:
     rig = Rig()
     rig.encoder = lambda true_us: 3
-    rig.sync()
+    rig.sync().arm()
     first, rest = rig.knot + 4, 3 * COUNT_PQ
     assert rig.give(first, {POSITION: [rest] * 30, TORQUE: [77] * 30}) == "accepted"
     tracks = rings(rig, [rest, 77])
@@ -461,7 +361,7 @@ def test_a_packet_is_judged_when_it_is_taken() -> None:
 
 def test_a_track_cannot_appear_while_others_run() -> None:
     """It would jump from nothing to its first point at once, before the margin."""
-    rig = Rig().sync()
+    rig = synced_rig().arm()
     first = rig.knot + 4
     assert rig.give(first, {POSITION: [0] * 40}) == "accepted"
     rig.run_to_knot(first + 10)
@@ -486,6 +386,19 @@ def test_stale_numbers() -> None:
     assert rig.node.status.plan_seen == rig.node.status.plan_accepted == 2**32 - 1
 
 
+def test_a_plan_long_behind_the_newest_is_told_by_its_number_alone() -> None:
+    rig = Rig().sync()
+    first = rig.start(40)
+    rig.run_to_knot(first)
+    still = {POSITION: [0] * 40, TORQUE: [0] * 40}
+    assert rig.give(first, still | {POSITION: [1] * 40}, 100) == "late"
+    for number, mask in ((68, 0), (69, 1 << 31), (99, 1 << 31 | 2)):
+        assert rig.give(first, still, number) == "accepted"
+        status = rig.node.status
+        assert (status.plan_seen, status.plan_accepted) == (100, number)
+        assert status.accepted_mask == mask
+
+
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_stale_stamps(sign: int) -> None:
     rig = Rig().sync()
@@ -495,7 +408,7 @@ def test_stale_stamps(sign: int) -> None:
     now = rig.node.system_us(rig.now)
     for age, verdict in ((100_000, "accepted"), (100_001, "stale"), (1 << 59, "stale")):
         rig.number += 1
-        payload = _core.plan_encode((0, 0, now - sign * age), rig.number, first, arrays)
+        payload = _core.plan_encode((0, 0, now - sign * age), rig.number, rig.epoch, first, arrays)
         assert rig.hand_over(rig.host.seal(_core.FRAME_PLAN, payload)) == verdict
 
 
@@ -528,22 +441,6 @@ def test_mask_tells_which_plans_were_taken(seed: int) -> None:
         assert status.accepted_mask == expected
 
 
-_SYNCED: list[tuple[np.ndarray, Rig]] = []
-
-
-def synced_rig() -> Rig:
-    """A copy of one synced rig: the node's whole state is the array."""
-    if not _SYNCED:
-        rig = Rig().sync()
-        _SYNCED.append((rig.memory.copy(), rig))
-    memory, origin = _SYNCED[0]
-    rig = Rig()
-    rig.memory[:] = memory
-    rig.now, rig.stamps = origin.now, origin.stamps
-    rig.host.sent, rig.host.received = origin.host.sent, origin.host.received
-    return rig
-
-
 def test_state_is_the_array() -> None:
     """A node restored from a copy goes on to the last bit as the original does."""
     a = Rig().sync()
@@ -569,7 +466,7 @@ def drop(statuses: list[_core.Status], lost: set[int]) -> list[tuple[int, int]]:
 def test_samples_arrive_in_order_and_complete(
     sample_every: int, delay_us: int, lost_every: int
 ) -> None:
-    rig = Rig(sample_every=sample_every, delay_us=delay_us)
+    rig = Rig(delay_us=delay_us, settings=device_settings(sample_every))
     rig.encoder = lambda true_us: true_us // 250 - 4000  # tells when it was read
     rig.sync()
     known = len(rig.statuses)
@@ -607,20 +504,21 @@ def test_more_samples_than_can_be_sent() -> None:
     """The ring holds the last 32, which a status can carry: older ones are lost."""
     settings = device_settings()
     settings.knot_shift, settings.servo_period_us = 15, POLL_US  # 131 samples a knot
-    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
-    node.flash(settings)
-    host = _core.Session(KEY, SESSION)
-    statuses = 0
-    for t in range(0, 1_000_000, POLL_US):
-        node.poll(t, t // POLL_US)
-        for _, packet in node.collect():
-            status = _core.status_decode(host.open(packet)[1])
-            counts = [count for _, count in status.samples]
-            newest = t // POLL_US
-            assert counts == list(range(newest - 31, newest + 1))
-            assert [us for us, _ in status.samples] == [POLL_US * count for count in counts]
-            statuses += 1
-    assert statuses == 30
+    rig = Rig(epoch_us=0, delay_us=0, settings=settings)
+    rig.encoder = lambda true_us: true_us // POLL_US
+    rig.syncing = False
+    rig.run(2000)
+    rig.node.deliver(rig.now, rig.host.seal(_core.FRAME_SYNC, _core.sync_encode((0, 0, 0))))
+    rig.run(500_000)  # the session has begun
+    for _ in range(10):
+        known = len(rig.statuses)
+        while len(rig.statuses) == known:
+            rig.poll()
+        samples = rig.statuses[-1].samples
+        newest = rig.now // POLL_US
+        assert [count for _, count in samples] == list(range(newest - 31, newest + 1))
+        stamps = np.array([us for us, _ in samples])
+        assert (np.diff(stamps) == POLL_US).all()
 
 
 def test_torque_peak_and_clipping_are_told() -> None:
@@ -655,10 +553,11 @@ def device_bytes(rig: Rig) -> np.ndarray:
 
 def bad_packets(rig: Rig, first: int) -> dict[str, bytes]:
     good = rig.plan(first, {POSITION: ramp(10, 0, 40), TORQUE: [0] * 40})
-    wrong_key = _core.Session(bytes(16), SESSION)
-    wrong_session = _core.Session(KEY, SESSION + 1)
-    reflected = _core.Session(KEY, SESSION, at_device=True)
-    replayed = _core.Session(KEY, SESSION)
+    to_device, to_host, number = rig.host.send_key, rig.host.receive_key, rig.host.number
+    wrong_key = _core.Session(bytes(16), bytes(16), number)
+    wrong_session = _core.Session(to_device, to_host, number + 1)
+    reflected = _core.Session(to_host, to_device, number, at_device=True)
+    replayed = _core.Session(to_device, to_host, number)
     for session in (wrong_key, wrong_session, reflected):
         session.sent = rig.host.sent + 5
     flipped = bytearray(good)
@@ -737,11 +636,17 @@ def test_an_empty_board_is_off_and_braked() -> None:
     ("name", "value"),
     [("knot_shift", 8), ("knot_shift", 16), ("servo_period_us", 0), ("sample_every", 0)],
 )
-def test_settings_that_cannot_run_are_refused(name: str, value: int) -> None:
+def test_settings_that_cannot_run_lead_to_a_fault(name: str, value: int) -> None:
+    """Off and braked, deaf and dumb, until they are replaced by the programmer."""
     settings = device_settings()
     setattr(settings, name, value)
-    with pytest.raises(ValueError, match="knot shift"):
-        _board.Node(np.zeros(_board.NODE_NUMBERS)).flash(settings)
+    rig = Rig(settings=settings)
+    rig.run(100_000)
+    assert rig.state == State.FAULT and rig.reason == "SETTINGS"
+    assert rig.node.brake and not rig.node.power
+    assert not rig.welcomed and not rig.statuses
+    rig.node.flash(device_settings())
+    rig.sync()
 
 
 def test_array_of_the_wrong_size_is_refused() -> None:

@@ -261,7 +261,9 @@ def servo_cases(prediction: Prediction, saturated: bool) -> list[tuple[Array, Ar
         r, rate, f = q + rng.normal(0, 0.01, n), v + rng.normal(0, 0.1, n), rng.normal(0, 1, n)
         if saturated:
             r += 0.5 * rng.choice([-1, 1], n)
-        tracks = np.tile(np.concatenate((r, rate, f)), (3, 1)) + rng.normal(0, 1e-3, (3, 3 * n))
+        gains = law.feedback * rng.uniform(0.3, 1, 2 * n)
+        tracks = np.tile(np.concatenate((r, rate, f, gains)), (3, 1))
+        tracks += rng.normal(0, 1e-3, (3, 5 * n))
         torque = law.torque(np.concatenate((q, v)), tracks)
         clear = np.abs(torque) > 1.3 * law.limit if saturated else np.abs(torque) < 0.7 * law.limit
         if clear.all():
@@ -328,9 +330,9 @@ def test_a_servoed_step_is_the_machine_under_its_servo_law(
         d, held = z[2 * n :], np.tile(tracks[1], (3, 1))
 
         def derivative(_: float, x: Array, d: Array = d, held: Array = held) -> Array:
-            r, rate, f = np.split(held[0], 3)
+            r, rate, f, kp, damping = np.split(held[0], 5)
             q, v = x[:n], x[n:]
-            torque = f + law.kp * (r - q) + law.kd * (rate - v) + law.emf * (rate - v)
+            torque = f + kp * (r - q) + damping * (rate - v)
             torque = np.clip(torque, -law.limit, law.limit) + d - model.damping * v
             torque = torque - law.coulomb * np.tanh(v / COULOMB_SPEED)
             return np.concatenate((v, pin.aba(model, data, q, v, torque)))
@@ -347,7 +349,7 @@ def test_a_roll_out_is_a_chain_of_steps(predicted: tuple[Machine, Prediction]) -
     _, prediction = predicted
     rng, n = np.random.default_rng(9), prediction.n
     z, first = servo_cases(prediction, False)[0]
-    tracks = first[0] + rng.normal(0, 1e-3, (3, HORIZON, 3 * n))
+    tracks = first[0] + rng.normal(0, 1e-3, (3, HORIZON, 5 * n))
     call = prediction.rollout
     call.inputs[0][:, 0], call.inputs[1][...] = z[: 2 * n], z[2 * n :, None]
     for i in range(3):

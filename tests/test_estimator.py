@@ -60,7 +60,8 @@ class Waves:
         a, still = self.amplitude, np.ones_like(t)
         position = np.stack([0.5 - a * np.cos(8 * t), 0.3 + a * np.cos(11 * t)], axis=1)
         rate = np.stack([8 * a * np.sin(8 * t), -11 * a * np.sin(11 * t)], axis=1)
-        return np.hstack((position, rate, np.stack([5.0 * still, still], axis=1)))
+        gains = np.tile(prediction().law.feedback, (len(t), 1))
+        return np.hstack((position, rate, np.stack([5.0 * still, still], axis=1), gains))
 
     def start(self) -> Array:
         """Position, where the tracks rest at first."""
@@ -382,7 +383,7 @@ def test_a_wrong_start_is_recovered_from(offset: tuple[float, float]) -> None:
     z = np.concatenate((truth, np.zeros(4)))
     held = np.tile(STILL.at(np.array([START_US])), (3, 1))
     held[:, :2] = truth
-    held[:, 4:] = p.holding(truth, np.zeros(2))
+    held[:, 4:6] = p.holding(truth, np.zeros(2))
     np.testing.assert_allclose(model_step(z, held), z, atol=1e-12)
 
     class Holding(Still):

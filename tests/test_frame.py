@@ -7,16 +7,18 @@ from hypothesis import strategies as st
 
 from headway.firmware import _core
 
-KEY = bytes(range(16))
+KEY, BACK_KEY = bytes(range(16)), bytes(range(50, 66))  # to the device, to the host
 HEADER, TAG, PAYLOAD_MAX = 12, 8, 1000
 NUMBER = 0xA1B2C3D4
+WINDOW = 64
 VERSION_AT, TYPE_AT, SESSION_AT, COUNTER_AT = 0, 1, 2, 6
 
 payloads = st.binary(max_size=80)
 
 
 def pair() -> tuple[_core.Session, _core.Session]:
-    return _core.Session(KEY, NUMBER), _core.Session(KEY, NUMBER, at_device=True)
+    host = _core.Session(KEY, BACK_KEY, NUMBER)
+    return host, _core.Session(BACK_KEY, KEY, NUMBER, at_device=True)
 
 
 def reopen(receiver: _core.Session, frame: bytes) -> tuple[int, bytes] | str:
@@ -110,27 +112,70 @@ def test_length_limits() -> None:
 
 @given(payloads)
 def test_reflected_to_its_sender(payload: bytes) -> None:
-    for session in pair():
+    one_key = [_core.Session(KEY, KEY, NUMBER, at_device) for at_device in (False, True)]
+    for session in (*pair(), *one_key):
         assert session.open(session.seal(_core.FRAME_PLAN, payload)) == "bad tag"
         assert session.received == 0
 
 
-@given(st.lists(st.integers(0, 9), min_size=1, max_size=30))
-def test_replayed_and_reordered(order: list[int]) -> None:
+@given(st.lists(st.integers(0, 299), min_size=1, max_size=120), st.integers(1, 1 << 40))
+def test_any_order_duplication_and_loss(order: list[int], start: int) -> None:
+    """Against a set of all counters: accepted once, if not overtaken by a whole window."""
     host, device = pair()
-    packets = [host.seal(_core.FRAME_PLAN, bytes([i])) for i in range(10)]
-    newest = -1
+    host.sent = device.received = start
+    packets = [host.seal(_core.FRAME_PLAN, i.to_bytes(2, "little")) for i in range(300)]
+    accepted: set[int] = set()
     for i in order:
-        expected = (_core.FRAME_PLAN, bytes([i])) if i > newest else "replayed"
+        fresh = i not in accepted and all(i > other - WINDOW for other in accepted)
+        expected = (_core.FRAME_PLAN, i.to_bytes(2, "little")) if fresh else "replayed"
         assert device.open(packets[i]) == expected
-        newest = max(newest, i)
-        assert device.received == newest + 1
+        if fresh:
+            accepted.add(i)
+        newest = start + max(accepted) + 1 if accepted else start
+        assert device.received == newest
+
+
+@pytest.mark.parametrize("ahead", [1, 2, 62, 63, 64, 65, 127, 128, 129, 1000])
+def test_window_boundaries(ahead: int) -> None:
+    """All of a window's frames after one that was so far ahead of them."""
+    host, device = pair()
+    packets = [host.seal(_core.FRAME_PLAN, b"") for _ in range(ahead + 1)]
+    opened = (_core.FRAME_PLAN, b"")
+    assert device.open(packets[0]) == opened
+    assert device.open(packets[ahead]) == opened
+    for i in range(ahead - 1, -1, -1):
+        in_window = i > ahead - WINDOW and i != 0
+        assert device.open(packets[i]) == (opened if in_window else "replayed"), i
+        assert device.open(packets[i]) == "replayed"
+        assert device.received == ahead + 1
+
+
+def test_a_forgery_does_not_move_the_window() -> None:
+    host, device = pair()
+    packets = [host.seal(_core.FRAME_PLAN, b"x") for _ in range(200)]
+    for packet in (packets[199], packets[3]):
+        frame = bytearray(cobs.decode(packet))
+        frame[-1] ^= 1
+        assert reopen(device, bytes(frame)) == "bad tag"
+    for packet in packets[:100]:
+        assert device.open(packet) == (_core.FRAME_PLAN, b"x")
+
+
+def test_counter_zero_is_never_sent_and_never_taken() -> None:
+    host, device = pair()
+    host.sent = (1 << 64) - 1  # the next one is 0
+    with pytest.raises(OverflowError):
+        host.seal(_core.FRAME_SYNC, b"")
+    frame = bytearray(cobs.decode(pair()[0].seal(_core.FRAME_SYNC, b"")))[:-TAG]
+    frame[COUNTER_AT:HEADER] = bytes(6)
+    tag = _core.siphash24(KEY, 0, bytes(frame)).to_bytes(TAG, "little")
+    assert reopen(device, bytes(frame) + tag) == "replayed"
 
 
 @given(st.integers(0, 31))
 def test_other_session_number(bit: int) -> None:
     host, _ = pair()
-    other = _core.Session(KEY, NUMBER ^ 1 << bit, at_device=True)
+    other = _core.Session(BACK_KEY, KEY, NUMBER ^ 1 << bit, at_device=True)
     assert other.open(host.seal(_core.FRAME_PLAN, b"x")) == "bad session"
     assert other.received == 0
 
@@ -140,7 +185,7 @@ def test_other_key(bit: int) -> None:
     host, _ = pair()
     key = bytearray(KEY)
     key[bit // 8] ^= 1 << bit % 8
-    other = _core.Session(bytes(key), NUMBER, at_device=True)
+    other = _core.Session(BACK_KEY, bytes(key), NUMBER, at_device=True)
     assert other.open(host.seal(_core.FRAME_PLAN, b"x")) == "bad tag"
     assert other.received == 0
 
@@ -148,7 +193,9 @@ def test_other_key(bit: int) -> None:
 @pytest.mark.parametrize("size", [0, 15, 17])
 def test_a_key_has_sixteen_bytes(size: int) -> None:
     with pytest.raises(ValueError, match="16 bytes"):
-        _core.Session(bytes(size), 1)
+        _core.Session(bytes(size), KEY, 1)
+    with pytest.raises(ValueError, match="16 bytes"):
+        _core.Session(KEY, bytes(size), 1)
 
 
 def test_counter_uses_all_its_48_bits() -> None:
@@ -160,3 +207,7 @@ def test_counter_uses_all_its_48_bits() -> None:
         assert device.open(packet) == (_core.FRAME_SYNC, b"")
         assert device.open(packet) == "replayed"
     assert device.received == (1 << 48) - 1
+    for _ in range(2):  # and never wraps
+        with pytest.raises(OverflowError, match="no counters left"):
+            host.seal(_core.FRAME_SYNC, b"")
+        assert host.sent == (1 << 48) - 1

@@ -62,7 +62,7 @@ class Case:
         found = set()
         if self.stored:
             stored_end = self.stored_first + len(self.stored) - 1
-            if low > stored_end + 1 or low <= self.knot - REACH + 1:
+            if low > stored_end + 1 or low <= self.knot - REACH + 2:
                 found.add("gap")
             live = range(low, max(self.knot + LIVE, low))
             if any(self.before(k) != self.after(k) for k in live):
@@ -359,7 +359,7 @@ def test_gap() -> None:
     for first, verdict in ((19, "accepted"), (20, "accepted"), (21, "gap"), (INT64_MAX, "gap")):
         assert check(WIDEST, track, first, [5] * 4, KNOT) == verdict
     for back in range(-2, 3):
-        knot = REACH + back  # how far back a plan may begin
+        knot = REACH - 1 + back  # how far back a plan may begin
         verdict = check(WIDEST, track, 2, [5] * 128, knot)
         assert verdict == ("accepted" if back <= 0 else "gap")
     assert check(WIDEST, track, -INT64_MAX - 1, [5] * 4, KNOT) == "gap"
@@ -378,7 +378,7 @@ def test_the_points_before_a_plan_are_still_remembered() -> None:
         if begin + len(points) < knot + LIVE:
             continue
         verdict = check(limits, track, begin, points, knot)
-        assert verdict == ("accepted" if begin > knot - REACH + 1 else "gap"), begin
+        assert verdict == ("accepted" if begin > knot - REACH + 2 else "gap"), begin
 
 
 @pytest.mark.parametrize("count", [3, 10, 120])

@@ -173,6 +173,9 @@ def test_guesses_follow_from_the_dynamics(name: str) -> None:
         count = axis.servo.kd / axis.counts_per_unit / 1e-3
         assert count <= 0.08 * axis.effort_limit
         assert axis.effort_limit > load
+        spare = axis.effort_limit - load
+        assert 0 < axis.deceleration <= 0.71 * max(spare, 0.05 * axis.effort_limit) / most
+        assert axis.deceleration <= 8.1 * axis.velocity_limit
     damping = np.array([axis.servo.kd + axis.motor.damping for axis in axes])
     assert reach.fastest(damping)[0] < 510
     assert reach.toppling(np.array([axis.servo.kp for axis in axes]))[0] < 0.41
@@ -201,7 +204,7 @@ def test_from_a_finger_to_a_crane(
     (axis,) = load_config(Path("m.yaml")).machine.axes
     lines = lines_of(Path("m.yaml"))
     keys = [key for key in lines if key.startswith("machine.axes.0.") and key[-6:] != ".joint"]
-    assert len(keys) == 12 and all(lines[key][1] for key in keys)  # the model says nothing
+    assert len(keys) == 13 and all(lines[key][1] for key in keys)  # the model says nothing
     assert axis.unit == ("rad" if joint == "hinge" else "m")
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from rig import Rig
 
 from headway.firmware import _core
-from headway.sim import _board
 
 TIME_MAX = 1 << 60
 PAYLOAD_MAX = 1000
@@ -38,26 +38,31 @@ def deltas(points: list[int]) -> Iterator[int]:
         yield c - 2 * b + a
 
 
-def layout(stamps: Stamps, number: int, first_knot: int, tracks: Tracks) -> bytes:
+def head_of(stamps: Stamps, number: int, epoch: int, first: int, mask: int, count: int) -> bytes:
+    return struct.pack("<qqqIHqBB", *stamps, number, epoch, first, mask, count)
+
+
+def layout(stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks) -> bytes:
     count = len(next(iter(tracks.values())))
     mask = sum(1 << sink for sink in tracks)
-    head = struct.pack("<qqqIqBB", *stamps, number, first_knot, mask, count)
+    head = head_of(stamps, number, epoch, first_knot, mask, count)
     return head + b"".join(zigzag(d) for s in sorted(tracks) for d in deltas(tracks[s]))
 
 
-def encode(stamps: Stamps, number: int, first_knot: int, tracks: Tracks) -> bytes:
+def encode(stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks) -> bytes:
     arrays = {s: np.array(p, dtype=np.int32) for s, p in tracks.items()}
-    return _core.plan_encode(stamps, number, first_knot, arrays)
+    return _core.plan_encode(stamps, number, epoch, first_knot, arrays)
 
 
 times = st.integers(-TIME_MAX, TIME_MAX)
 stamps_us = st.tuples(times, times, times)
 numbers = st.integers(0, 2**32 - 1)
+epochs = st.integers(0, 2**16 - 1)
 knots = st.integers(-(1 << 63), (1 << 63) - 1)
 values = (
     st.integers(-100, 100)
-    | st.integers(-INT32_MAX, INT32_MAX)
-    | st.sampled_from([-INT32_MAX, INT32_MAX])
+    | st.integers(-INT32_MAX - 1, INT32_MAX)
+    | st.sampled_from([-INT32_MAX - 1, -INT32_MAX, INT32_MAX])
 )
 
 
@@ -69,24 +74,28 @@ def plans(draw: st.DrawFn) -> Tracks:
     return {sink: draw(points) for sink in sinks}
 
 
-ALTERNATING = [INT32_MAX, -INT32_MAX] * 6  # the largest second differences
+ALTERNATING = [INT32_MAX, -INT32_MAX - 1] * 6  # the largest second differences
 
 
-@given(stamps_us, numbers, knots, plans())
-@example((TIME_MAX, -TIME_MAX, 0), 2**32 - 1, -(1 << 63), {s: ALTERNATING for s in SINKS})
-def test_plan_round_trip(stamps: Stamps, number: int, first_knot: int, tracks: Tracks) -> None:
-    payload = encode(stamps, number, first_knot, tracks)
-    assert payload == layout(stamps, number, first_knot, tracks)
+@given(stamps_us, numbers, epochs, knots, plans())
+@example(
+    (TIME_MAX, -TIME_MAX, 0), 2**32 - 1, 2**16 - 1, -(1 << 63), dict.fromkeys(SINKS, ALTERNATING)
+)
+def test_plan_round_trip(
+    stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks
+) -> None:
+    payload = encode(stamps, number, epoch, first_knot, tracks)
+    assert payload == layout(stamps, number, epoch, first_knot, tracks)
     decoded = _core.plan_decode(payload)
     assert decoded is not None
-    assert decoded[:3] == (stamps, number, first_knot)
-    assert {s: list(p) for s, p in decoded[3].items()} == tracks
-    assert all(p.dtype == np.int32 for p in decoded[3].values())
+    assert decoded[:4] == (stamps, number, epoch, first_knot)
+    assert {s: list(p) for s, p in decoded[4].items()} == tracks
+    assert all(p.dtype == np.int32 for p in decoded[4].values())
 
 
 @given(stamps_us, plans())
 def test_truncated_or_extended_plan_is_refused(stamps: Stamps, tracks: Tracks) -> None:
-    payload = encode(stamps, 1, 2, tracks)
+    payload = encode(stamps, 1, 7, 2, tracks)
     for size in range(len(payload)):
         assert _core.plan_decode(payload[:size]) is None
     assert _core.plan_decode(payload + b"\0") is None
@@ -94,44 +103,44 @@ def test_truncated_or_extended_plan_is_refused(stamps: Stamps, tracks: Tracks) -
 
 @given(st.binary(max_size=120))
 def test_random_bytes_decode_to_something_legal_or_nothing(noise: bytes) -> None:
-    head = struct.pack("<qqqIqBB", 0, 0, 0, 1, 5, 3, 4)
+    head = head_of((0, 0, 0), 1, 7, 5, 3, 4)
     for payload in (noise, head + noise):
         decoded = _core.plan_decode(payload)
         if decoded is not None:
-            stamps, number, first_knot, tracks = decoded
+            stamps, number, epoch, first_knot, tracks = decoded
             points = {s: [int(p) for p in a] for s, a in tracks.items()}
             assert set(points) <= set(SINKS)
-            canonical = layout(stamps, number, first_knot, points)
+            canonical = layout(stamps, number, epoch, first_knot, points)
             assert len(canonical) <= len(payload)  # varints may be longer than they need
-            assert all(abs(p) <= INT32_MAX for a in points.values() for p in a)
+            assert all(-INT32_MAX - 1 <= p <= INT32_MAX for a in points.values() for p in a)
         _core.status_decode(payload)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 128, 129, 255])
 def test_counts(count: int) -> None:
-    head = struct.pack("<qqqIqBB", 0, 0, 0, 1, 5, 1, count)
+    head = head_of((0, 0, 0), 1, 7, 5, 1, count)
     decoded = _core.plan_decode(head + bytes(count))
     assert (decoded is not None) == (3 <= count <= _core.PLAN_POINTS_MAX)
     if count <= 128:
         return
     with pytest.raises(ValueError, match=r"3 \.\. 128"):
-        encode((0, 0, 0), 1, 0, {0: [0] * count})
+        encode((0, 0, 0), 1, 7, 0, {0: [0] * count})
 
 
 @pytest.mark.parametrize("mask", [*range(34), 0x40, 0x80, 0xFF])
 def test_masks(mask: int) -> None:
-    head = struct.pack("<qqqIqBB", 0, 0, 0, 1, 5, mask, 3)
+    head = head_of((0, 0, 0), 1, 7, 5, mask, 3)
     decoded = _core.plan_decode(head + bytes(3 * mask.bit_count()))
     assert (decoded is not None) == (0 < mask < 32)
     if decoded is not None:
-        assert set(decoded[3]) == {s for s in SINKS if mask >> s & 1}
+        assert set(decoded[4]) == {s for s in SINKS if mask >> s & 1}
 
 
 @pytest.mark.parametrize(
     "varint",
     [
         zigzag(INT32_MAX + 1),
-        zigzag(-INT32_MAX - 1),
+        zigzag(-INT32_MAX - 2),
         zigzag(1 << 62),
         zigzag((1 << 63) - 1),
         zigzag(-(1 << 63)),
@@ -142,7 +151,7 @@ def test_masks(mask: int) -> None:
     ],
 )
 def test_huge_varints_are_refused(varint: bytes) -> None:
-    head = struct.pack("<qqqIqBB", 0, 0, 0, 1, 5, 1, 3)
+    head = head_of((0, 0, 0), 1, 7, 5, 1, 3)
     assert _core.plan_decode(head + b"\0\0\0") is not None
     for lead in (b"", b"\0", b"\0\0"):
         payload = head + lead + varint
@@ -151,7 +160,7 @@ def test_huge_varints_are_refused(varint: bytes) -> None:
 
 
 def test_sums_beyond_32_bits_are_refused() -> None:
-    head = struct.pack("<qqqIqBB", 0, 0, 0, 1, 5, 1, 4)
+    head = head_of((0, 0, 0), 1, 7, 5, 1, 4)
 
     def decode(*differences: int) -> object:
         return _core.plan_decode(head + b"".join(map(zigzag, differences)))
@@ -159,9 +168,12 @@ def test_sums_beyond_32_bits_are_refused() -> None:
     assert decode(INT32_MAX, 0, 0, 0) is not None
     assert decode(INT32_MAX, 1, 0, 0) is None
     assert decode(INT32_MAX, -2 * INT32_MAX, 4 * INT32_MAX, -4 * INT32_MAX) is not None
-    assert decode(INT32_MAX, -2 * INT32_MAX, -1, 0) is None
+    assert decode(INT32_MAX, -2 * INT32_MAX - 1, 2 * INT32_MAX + 1, 0) is not None
+    assert decode(INT32_MAX, -2 * INT32_MAX - 2, 2 * INT32_MAX + 2, 0) is None
+    assert decode(INT32_MAX, -2 * INT32_MAX, -2, 0) is None
     assert decode(0, 1, 1 << 30, 1 << 30) is None  # differences add up
     assert decode(0, 1 << 30, 0, 0) is None
+    assert decode(INT32_MAX, 1 << 33, 0, 0) is None
 
 
 @pytest.mark.parametrize("at", range(3))
@@ -170,32 +182,32 @@ def test_stamps_from_another_age_are_refused(at: int) -> None:
         for sign in (-1, 1):
             stamps = [0, 0, 0]
             stamps[at] = sign * time_us
-            payload = encode((stamps[0], stamps[1], stamps[2]), 1, 0, {0: [0, 0, 0]})
+            payload = encode((stamps[0], stamps[1], stamps[2]), 1, 7, 0, {0: [0, 0, 0]})
             assert (_core.plan_decode(payload) is not None) == ok
 
 
 def test_plans_out_of_shape() -> None:
     for bad in ({}, {0: [1, 2]}, {5: [0] * 3}, {-1: [0] * 3}, {0: [0] * 3, 1: [0] * 4}):
         with pytest.raises(ValueError, match="plan"):
-            encode((0, 0, 0), 1, 0, bad)
+            encode((0, 0, 0), 1, 7, 0, bad)
 
 
 def test_the_largest_plan_fits_and_one_byte_more_does_not() -> None:
     full = {s: [100] * 128 for s in SINKS}
-    assert len(encode((0, 0, 0), 1, 0, full)) == 38 + 5 * 129  # the first point takes two bytes
+    assert len(encode((0, 0, 0), 1, 7, 0, full)) == 40 + 5 * 129  # the first point takes two bytes
     wide, still = [1 << 29, -(1 << 29)] * 64, [0] * 128
-    spare = PAYLOAD_MAX - len(layout((0, 0, 0), 1, 0, {0: wide, 1: still, 2: still}))
+    spare = PAYLOAD_MAX - len(layout((0, 0, 0), 1, 7, 0, {0: wide, 1: still, 2: still}))
     assert 0 < spare < 120
     for two_bytes, fits in ((spare, True), (spare + 1, False)):
         seconds = [0, *(100 * (-1) ** i for i in range(two_bytes)), *[0] * (127 - two_bytes)]
         points = np.cumsum(np.cumsum(seconds)).tolist()
         tracks = {0: wide, 1: still, 2: points}
-        assert len(layout((0, 0, 0), 1, 0, tracks)) == PAYLOAD_MAX + (not fits)
+        assert len(layout((0, 0, 0), 1, 7, 0, tracks)) == PAYLOAD_MAX + (not fits)
         if fits:
-            assert len(encode((0, 0, 0), 1, 0, tracks)) == PAYLOAD_MAX
+            assert len(encode((0, 0, 0), 1, 7, 0, tracks)) == PAYLOAD_MAX
         else:
             with pytest.raises(ValueError, match="does not fit"):
-                encode((0, 0, 0), 1, 0, tracks)
+                encode((0, 0, 0), 1, 7, 0, tracks)
 
 
 @given(stamps_us)
@@ -205,17 +217,23 @@ def test_sync_layout(stamps: Stamps) -> None:
 
 # ---- status
 
-HEAD = "<qBBBIIIIIIIIiIB"
-FIELDS = (
-    *("sent_us", "state", "refusal", "synced", "plan_seen", "plan_accepted", "accepted_mask"),
+HEAD = "<qBBBHIBiBBIqiiiiIIIIIIIIiIB"
+FLAGS = ("synced", "homed", "released")
+FAULT = (*("reason", "state", "boots", "time_us", "value", "limit", "position_pq", "torque_tq"),)
+BEFORE = ("epoch", "command_number", "command_result", "holding_tq")
+AFTER = (
+    *("plan_seen", "plan_accepted", "accepted_mask"),
     *("plans_accepted", "plans_late", "plans_refused", "frames_bad", "coasts"),
     *("torque_peak_tq", "torque_clipped"),
 )
+u8 = st.integers(0, 255)
 u32 = st.integers(0, 2**32 - 1)
 int64s = st.integers(-(1 << 62), 1 << 62)
 int32s = st.integers(-INT32_MAX - 1, INT32_MAX)
 heads = st.tuples(
-    *(int64s, st.integers(0, 255), st.integers(0, 255), st.booleans()),
+    *(int64s, u8, u8, st.integers(0, 7)),
+    *(epochs, u32, u8, int32s),
+    *(u8, u8, u32, int64s, int32s, int32s, int32s, int32s),
     *[u32] * 8,
     *(int32s, u32),
 )
@@ -232,7 +250,11 @@ def status_layout(head: tuple[int, ...], samples: list[tuple[int, int]]) -> byte
 
 
 def fields_of(status: _core.Status) -> tuple[int, ...]:
-    return tuple(getattr(status, name) for name in FIELDS)
+    flags = sum(getattr(status, name) << bit for bit, name in enumerate(FLAGS))
+    before = [getattr(status, name) for name in BEFORE]
+    fault = [getattr(status.fault, name) for name in FAULT]
+    after = [getattr(status, name) for name in AFTER]
+    return (status.sent_us, status.state, status.refusal, flags, *before, *fault, *after)
 
 
 @given(heads, samples_of)
@@ -249,31 +271,19 @@ def test_status_is_read_as_laid_out(head: tuple[int, ...], samples: list[tuple[i
 
 @pytest.mark.parametrize("count", [32, 33, 255])
 def test_status_holds_32_samples(count: int) -> None:
-    payload = struct.pack(HEAD, *[0] * 14, count) + bytes(2 * count)
+    payload = struct.pack(HEAD, *[0] * 26, count) + bytes(2 * count)
     assert (_core.status_decode(payload) is not None) == (count <= 32)
 
 
 def test_a_device_writes_status_as_laid_out() -> None:
-    settings = _core.DeviceSettings()
-    settings.key, settings.session = bytes(16), 9
-    settings.knot_shift, settings.servo_period_us, settings.sample_every = 12, 500, 1
-    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
-    node.flash(settings, count_offset=77)
-    host = _core.Session(bytes(16), 9)
-    seen = 0
-    for t in range(0, 60_000, 250):
-        node.poll(t, (t * t) % 10_007 - 5_000)
-        if t == 20_000:
-            node.deliver(t, b"\x05junk")
-        for _, packet in node.collect():
-            opened = host.open(packet)
-            assert isinstance(opened, tuple)
-            kind, payload = opened
-            assert kind == _core.FRAME_STATUS
-            status = _core.status_decode(payload)
-            assert status is not None
-            assert status_layout(fields_of(status), status.samples) == payload
-            assert len(status.samples) >= 8
-            assert status.frames_bad == (t > 20_000)
-            seen += 1
-    assert seen == 14
+    rig = Rig()
+    rig.encoder = lambda true_us: true_us * true_us % 10_007 - 5_000
+    rig.run(20_000)
+    assert rig.payload and not rig.statuses[-1].frames_bad
+    rig.node.deliver(rig.now, b"\x05junk")
+    for _ in range(10):
+        rig.run(4096)
+        status = rig.statuses[-1]
+        assert status_layout(fields_of(status), status.samples) == rig.payload
+        assert len(status.samples) >= 8
+    assert status.frames_bad == 1

@@ -159,8 +159,8 @@ def test_a_device_that_fails_leaves_the_record(capsys: pytest.CaptureFixture[str
     assert "out" in told and "came to rest" in reason
     assert sorted(p.name for p in Path("out").iterdir()) == ["config.yaml", "run.mcap"]
     run = read_run(Path("out"))
-    assert not run.complete and run.messages["tick"] > 50 and run.messages["end"] == 0
-    assert 4 in run.arrays["received_state"][-2:]  # HOLD: what the loop failed at is there
+    assert not run.complete and run.messages["tick"] > 50 and run.messages["end"] == 1
+    assert 7 in run.arrays["received_state"][-2:]  # HOLD: what the loop failed at is there
 
 
 def test_no_folder_of_a_run_that_never_began() -> None:
@@ -179,4 +179,4 @@ def test_an_interrupted_run_is_complete(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(Bar, "update", update)
     assert main(["run", str(ARM2), "--duration", "1000", "--out", "out"]) == 130
     run = read_run(Path("out"))
-    assert run.complete and run.arrays["end_states"].tolist() == [[4, 4]]
+    assert run.complete and run.arrays["end_states"].tolist() == [[7, 7]]

@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from headway.configs.load import load_config
 from headway.configs.schema import Config
 from headway.controller import tracks
+from headway.controller.gains import Gains
 from headway.controller.mpc import Motion
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.tick import Outbox, Phase, Tick
@@ -49,8 +50,13 @@ def prediction() -> Prediction:
 
 
 @cache
+def gains() -> Gains:
+    return Gains(CONFIG, load_machine(ROOT / "models" / "arm2" / "arm2.xml"), HORIZON)
+
+
+@cache
 def encoder() -> Encoder:
-    return Encoder(prediction(), UNITS, CONFIG.loop)
+    return Encoder(prediction(), UNITS, gains(), CONFIG.loop)
 
 
 def spline(points: Array) -> BSpline:
@@ -242,9 +248,14 @@ def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
     encode, roll_out = Encoder.encode, Encoder.roll_out
 
     def encode_seen(
-        self: Encoder, motion: Motion, remotes: list[Remote], knot: int, relief: Array
+        self: Encoder,
+        motion: Motion,
+        remotes: list[Remote],
+        knot: int,
+        relief: Array,
+        gains: list[Points],
     ) -> list[Points]:
-        points = encode(self, motion, remotes, knot, relief)
+        points = encode(self, motion, remotes, knot, relief, gains)
         seen.append(Encoding(knot, motion, [dict(p) for p in points]))
         for axis, remote in enumerate(remotes):
             for sink in points[axis]:
@@ -302,7 +313,7 @@ def test_the_encoded_motion_is_the_planned_to_within_a_count_rms(
 def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None:
     """At each tick, over the knot that has passed and the one that begins, to the last bit."""
     lock = Lockstep(config_of("duration_s=2"), CONFIGS)
-    commitment = Commitment(lock.remotes, UNITS, lock.config.loop)
+    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop)
     tick, compared = lock.loop.tick, 0
     quanta = np.array(
         [PQ_PER_RAD, PQ_PER_RAD, PQ_PER_RAD * KNOT_S, PQ_PER_RAD * KNOT_S, TQ_PER_NM, TQ_PER_NM]
@@ -312,7 +323,7 @@ def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None
         nonlocal compared
         if lock.loop.phase is Phase.RUN:
             times_us = np.arange(now_us - 4096, now_us + 4096, 256)
-            values = commitment.at(times_us) * quanta
+            values = commitment.at(times_us)[:, :6] * quanta
             for time_us, value in zip(times_us.tolist(), values, strict=True):
                 setpoints = np.array([node.setpoint(time_us) for node in lock.plant.nodes])
                 np.testing.assert_allclose(value, setpoints.T.ravel(), rtol=1e-12, atol=1e-9)

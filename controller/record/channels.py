@@ -58,6 +58,13 @@ _ALL = (
         Field("state", "int", "", _STATES),
         Field("refusal", "int", "", "why the last refused plan was refused, as in firmware/gate.h"),
         Field("synced", "bool", "", "the device's clock has settled"),
+        Field("homed", "bool", "", "the axis knows where it is"),
+        Field("epoch", "int", "", "of the plans that the device takes"),
+        Field("command_number", "int", "", "last command"),
+        Field("command_result", "int", "", "what became of it, as in firmware/command.h"),
+        Field("reason", "int", "", "why it stopped last, as in firmware/fault.h"),
+        Field("reason_value", "int", "", "what was found then"),
+        Field("reason_limit", "int", "", "and what is allowed"),
         Field("plan_seen", "int", "", "highest plan number that arrived"),
         Field("plan_accepted", "int", "", "last plan accepted"),
         Field("accepted_mask", "int", "", "bit i: plan plan_seen - i was accepted"),
@@ -87,7 +94,12 @@ _ALL = (
     _channel(
         "startup",
         "A tick before the task: the clocks settle, the brakes let go",
-        Field("phase", "int", "", "0 the clocks settle, 1 the first plan is under way"),
+        Field(
+            "phase",
+            "int",
+            "",
+            "0 hello, 1 the clocks settle, 2 the load is taken, 3 a plan is under way",
+        ),
         Field("states", "int vector", "", "of the devices, as in received"),
     ),
     _channel(

@@ -62,8 +62,8 @@ def _received(_: str, now_us: int, packets: list[tuple[int, int, bytes]], good: 
         yield "received", received_us, (device, status is not None, raw, *decoded)
 
 
-def _sent(_: str, sent_us: int, planned: bool, packets: list[bytes]) -> Raw:
-    for device, raw in enumerate(packets):
+def _sent(_: str, sent_us: int, planned: bool, packets: list[tuple[int, bytes]]) -> Raw:
+    for device, raw in packets:
         plan = packet.plan(raw) if planned else None
         decoded: tuple[Any, ...] = 0, 0, (), ()
         if plan is not None:

@@ -12,6 +12,9 @@ STALL_SHARE, SUPPLY_SHARE = 0.5, 0.85  # of a given motor's stall effort and sup
 SPEED_BELIEVED = 4.0  # times what the effort reaches over the range
 # Of known friction near rest, at the least inertia [1/s]: what a step of two knots can follow.
 COULOMB_RATE_MAX = 150.0
+STOP_SHARE = 0.7  # of the deceleration that the spare effort gives
+STOP_LEAST = 0.05  # of the effort, where the load leaves nothing
+STOP_RATE = 8.0  # times the velocity limit [1/s]: a harder stop gains nothing
 
 
 def guess_limits(axis: AxisGuess, most: float, least: float, load: float) -> None:
@@ -21,6 +24,7 @@ def guess_limits(axis: AxisGuess, most: float, least: float, load: float) -> Non
     _speed(axis, most, load)
     acceleration = 1.5 * axis["effort_limit"] / least
     axis.guess("acceleration_limit", acceleration, "1.5 times what the effort makes at most")
+    _stop(axis, most, load)
     _coulomb(axis, least)
 
 
@@ -58,6 +62,17 @@ def _speed(axis: AxisGuess, most: float, load: float) -> None:
         axis.guess("velocity_limit", reached, f"{why}; the model has {stated:g}")
     else:
         axis.state("velocity_limit", stated)
+
+
+def _stop(axis: AxisGuess, most: float, load: float) -> None:
+    spare = max(axis["effort_limit"] - load, STOP_LEAST * axis["effort_limit"])
+    possible, enough = STOP_SHARE * spare / most, STOP_RATE * axis["velocity_limit"]
+    if possible < enough:
+        why = f"{STOP_SHARE:.0%} of what the effort gives beyond its load"
+        axis.guess("stop_deceleration", possible, why)
+    else:
+        why = f"stops from the velocity limit within {1 / STOP_RATE:g} s"
+        axis.guess("stop_deceleration", enough, why)
 
 
 def _coulomb(axis: AxisGuess, least: float) -> None:

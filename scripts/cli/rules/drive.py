@@ -9,7 +9,8 @@ import numpy as np
 
 from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
 from headway.cli.rules.subject import Array, Subject
-from headway.devices.axis import AxisUnits, device_settings
+from headway.devices.axis import AxisUnits
+from headway.devices.settings import device_settings
 from headway.firmware import _core
 from headway.models.margin import PHASE_MARGIN_MIN_DEG, phase_margin_deg
 
@@ -28,6 +29,7 @@ def drive_rules(subject: Subject) -> Iterator[Rule]:
     yield _count_noise(subject)
     yield _phase_margin(subject)
     yield _toppling(subject)
+    yield _stop(subject)
     yield _voltage_at_limits(subject)
     yield _voltage_in_task(subject)
 
@@ -165,6 +167,26 @@ def _toppling(subject: Subject) -> Rule:
         axis.joint,
         warn=0.7,
         fail=np.inf,
+    )
+
+
+def _stop(subject: Subject) -> Rule:
+    """The boards' own stop: each axis at its largest inertia, down with its heaviest load; a
+    warning, since the task may stay where it needs less."""
+    reach = subject.envelope
+    return worst(
+        at_most(
+            "stop: effort for its deceleration",
+            float(reach.inertia_max[i] * axis.deceleration + reach.holding_max[i]),
+            axis.effort_limit,
+            axis.effort_unit,
+            f"where {axis.joint} moves and holds most, its effort limit leaves "
+            f"{max(axis.effort_limit - reach.holding_max[i], 0) / reach.inertia_max[i]:.3g} "
+            f"{axis.unit}/s^2: set a lower {axis.key('stop_deceleration')}",
+            axis.joint,
+            fail=np.inf,
+        )
+        for i, axis in enumerate(subject.axes)
     )
 
 

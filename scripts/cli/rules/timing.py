@@ -10,9 +10,9 @@ from headway.cli.rules.rule import Rule, Status, at_least, at_most
 from headway.cli.rules.subject import Subject
 from headway.controller.equations import COULOMB_SPEED
 from headway.controller.loop import plan_points
-from headway.devices.axis import AxisUnits, position_limits, torque_limits
+from headway.devices.axis import AxisUnits, gain_limits, position_limits, torque_limits
 from headway.devices.core import PLAN_POINTS_MAX, TRACK_POSITION, TRACK_TORQUE
-from headway.firmware import _core
+from headway.devices.widest import fits_a_frame
 
 RUNGE_KUTTA_STABLE = 2.78  # decay rate times step: Hairer, Wanner, Solving ODEs II, section IV.2
 
@@ -98,28 +98,26 @@ def _plan_points(subject: Subject) -> Rule:
 
 
 def _plan_frame(subject: Subject) -> Rule:
-    """The largest plan that the gate lets pass fits a frame: its points swing from knot to knot."""
+    """The largest plan that the gate lets pass fits a frame."""
     loop, points = subject.config.loop, min(plan_points(subject.config), PLAN_POINTS_MAX)
-    sign = np.resize([1, -1], points)
     for axis in subject.axes:
         units = AxisUnits.of(axis, loop)
         try:
-            position, torque = position_limits(axis, units), torque_limits(axis, units)
+            limits = {
+                TRACK_POSITION: position_limits(axis, units),
+                TRACK_TORQUE: torque_limits(axis, units),
+            }
+            if loop.gains != "off":
+                limits.update(gain_limits(axis, subject.config.device, units))
         except ValueError:
             continue  # the rule of the board's integers tells
-        swing = min(position.second_difference_max // 4, position.difference_max // 2)
-        tracks = {
-            TRACK_POSITION: (position.point_max - swing + swing * sign).astype(np.int32),
-            TRACK_TORQUE: (torque.point_max * sign).astype(np.int32),
-        }
-        try:
-            _core.plan_encode((0, 0, 0), 1, 0, tracks)
-        except ValueError:
+        if not fits_a_frame(limits, points):
             return Rule(
                 "plan: fits a frame",
-                Status.WARN,
+                Status.FAIL if loop.gains != "off" else Status.WARN,
                 axis=axis.joint,
                 remedy="a plan that swings as far as the gate allows would not: a shorter "
-                "mpc.horizon_us or a longer loop.knot_us",
+                "mpc.horizon_us or a longer loop.knot_us"
+                + (", or loop.gains: off" if loop.gains != "off" else ""),
             )
     return Rule("plan: fits a frame", Status.OK)

@@ -1,0 +1,65 @@
+"""Why a device stopped, in words and in the axis' units."""
+
+from __future__ import annotations
+
+from headway.configs.axis import Axis
+from headway.devices.axis import AxisUnits
+from headway.firmware import _core
+
+STATES, REASONS = _core.STATES, _core.REASONS
+MOVING = {STATES.index(name) for name in ("RUNNING", "COAST")}
+
+_TEXTS = {
+    "HOST": "the host said stop",
+    "SYNC_LOST": "no sign of the host's time for {value} us; device.sync_lost_us is {limit}",
+    "GAP": "a plan left {value} knots open",
+    "GAP_FAULT": "a plan left {value} knots open",
+    "FOLLOWING": "following error {value:.4g} {unit}, allowed {limit:.4g}",
+    "SPEED": "speed {value:.4g} {unit}/s, allowed {limit:.4g}",
+    "ROOM": "at {value:.4g} {unit} too fast to stop before {limit:.4g}",
+    "TORQUE": "at its effort limit for {value} servo periods, allowed {limit}",
+    "HOMING": "no mark within {limit} counts",
+    "OUTSIDE": "at {value:.4g} {unit} and moving on outwards; its last limit is {limit:.4g}",
+    "I2T": "the motor was overloaded for too long: {value} of {limit}",
+    "WINDING": "the winding is too hot: {value:.0%} of the rated rise, allowed {limit:.0%}",
+    "UNDERVOLTAGE": "the supply is at {value:.3g} V, at least {limit:.3g} are needed",
+    "OVERVOLTAGE": "the supply is at {value:.3g} V, at most {limit:.3g} are allowed",
+    "LATE": "its servo ran {value} us late, allowed {limit}",
+    "STUCK": "its encoder stands still",
+    "REVERSED": "{value:.4g} {unit} from its setpoint and leaving it against its motor: the "
+    "encoder counts backwards, or the load is too strong",
+    "SPIKE": "its encoder jumped by {value} counts, possible are {limit}",
+    "SETTINGS": "it has no good settings",
+}
+
+
+def moves(status: _core.Status) -> bool:
+    """Whether the device executes plans."""
+    return status.state in MOVING
+
+
+def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int) -> str:
+    """Why the device does not execute plans."""
+    state, reason = STATES[status.state], REASONS[status.reason]
+    if state == "ESTOP":
+        return "the emergency line is open"
+    if state in ("BOOT", "UNSYNCED", "IDLE"):
+        return "the device has restarted"
+    if reason == "NONE":
+        return "the device came to rest and holds: no plan reached it in time"
+    per = {
+        "FOLLOWING": units.pq_per_unit,
+        "REVERSED": units.pq_per_unit,
+        "ROOM": units.pq_per_unit,
+        "OUTSIDE": units.pq_per_unit,
+        "SPEED": units.pq_per_unit * servo_period_us * 1e-6,
+        "WINDING": 65536.0,
+        "UNDERVOLTAGE": 1e3,
+        "OVERVOLTAGE": 1e3,
+    }.get(reason)
+    value: float = status.reason_value
+    limit: float = status.reason_limit
+    if per is not None:
+        value, limit = value / per, limit / per
+    text = _TEXTS[reason].format(value=value, limit=limit, unit=axis.unit)
+    return f"the device stopped: {text}"

@@ -1,0 +1,9 @@
+// What comes out of a device each servo period: power, brake and duty, as its state has it.
+#ifndef HEADWAY_DRIVE_H
+#define HEADWAY_DRIVE_H
+
+#include "device.h"
+
+void drive(struct device *device, struct board *board, int64_t time_us, uint32_t count_us);
+
+#endif

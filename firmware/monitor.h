@@ -1,0 +1,89 @@
+// The monitor: what is measured, judged every servo period against what is allowed. The gate bounds
+// what is asked for; this bounds what happens.
+#ifndef HEADWAY_MONITOR_H
+#define HEADWAY_MONITOR_H
+
+#include "fault.h"
+#include "fixed.h"
+
+#define MONITOR_SPEED_PERIODS 8     // of the low-pass on the measured speed
+#define MONITOR_LOAD_ONE_Q8 256     // torque load 1: the continuous torque
+#define MONITOR_HEAT_PERIODS 256    // between two steps of the winding's temperature
+#define MONITOR_SUPPLY_PERIODS 4    // a supply beyond its limits for so long in a row
+#define MONITOR_CHOPPER_OFF_SHIFT 6 // the chopper goes off 1/64 below where it goes on
+
+struct monitor_settings {
+    int32_t following_pq;       // largest following error ...
+    uint16_t following_periods; // ... for so many periods in a row
+    int32_t speed_pq;           // largest speed, per servo period
+    bool bounded;               // there are position limits
+    int32_t low_pq, high_pq;    // within these the axis must always be able to stop ...
+    int32_t deceleration_q16;   // ... with this: 1/65536 pq per period squared
+    uint32_t torque_periods;    // at the torque ceiling in a row
+    struct scale load_q8;       // torque in 1/256 of the continuous torque [1/tq]
+    uint32_t overload;          // allowance of load^2 - 1, summed over periods
+    uint16_t heating_q16;       // share by which the winding's rise nears load^2 in 256 periods
+    int32_t rise_q16;       // largest rise of the winding; 65536: at continuous torque, for ever
+    int32_t stuck_pq;       // of the setpoint's way without a count
+    uint32_t stuck_periods; // of feedback half the torque ceiling away without a count
+    int32_t spike_counts;   // in one period
+    int32_t supply_min_mV, supply_max_mV, chopper_mV;
+    uint32_t late_us; // of a servo period
+};
+
+struct monitor {
+    bool primed; // `count` is the last one
+    int32_t count;
+    int32_t speed_sum;  // of count differences in pq, a first-order low-pass over 8 periods
+    uint16_t following; // periods beyond the limit, in a row
+    uint32_t torque;    // periods at the ceiling, in a row
+    int64_t overload;   // sum of load^2 - 1 in 1/65536, not below 0
+    int64_t heat;       // sum of load^2 in 1/65536 since the last step
+    uint16_t heat_periods;
+    int32_t rise_q16;       // of the winding ...
+    uint16_t rise_fraction; // ... and what lies below
+    bool begun;             // `still_pq` is valid
+    int32_t still_pq;       // setpoint when the count last changed
+    int32_t still_tq;       // feedback then
+    uint32_t still_periods; // pushed on since then without a count
+    uint8_t under, over;    // periods of bad supply, in a row
+    bool chopper;
+};
+
+// What one servo period found.
+struct observation {
+    int32_t count;       // of the encoder
+    int32_t position_pq; // measured
+    int32_t setpoint_pq;
+    int32_t error_pq; // setpoint minus measured
+    int32_t torque_tq, torque_limit_tq;
+    int32_t feedback_tq; // of the torque, what the gains make of the error
+    bool clipped;        // at the ceiling
+    int32_t supply_mV;
+    uint32_t late_us; // after it was due
+    bool power;       // the bridge is on: else only the encoder is judged
+    bool driven;      // the servo follows a setpoint
+    bool bounded;     // it is to be kept within its limits
+    bool seeks_stop;  // standing still is what it is there for
+};
+
+// A breach; reason REASON_NONE if there is none.
+struct breach {
+    enum fault_reason reason;
+    int32_t value, limit;
+};
+
+// One servo period. The worst breach is told: what forbids the ramp before what does not.
+struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                           const struct observation *seen);
+
+// Whether a position is within the last limits.
+bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq);
+
+// Measured speed, pq per servo period.
+int32_t monitor_speed_pq(const struct monitor *monitor);
+
+// Before the servo begins to follow another setpoint: what counts periods in a row starts anew.
+void monitor_begin(struct monitor *monitor);
+
+#endif

@@ -1,0 +1,40 @@
+#include "outbox.h"
+#include "cobs.h" // packets on the byte stream
+#include "happen.h"
+
+void outbox_send(struct device *device, struct board *board, enum frame_type type,
+                 uint8_t frame[FRAME_MAX], int32_t payload_size) {
+    uint8_t packet[COBS_BOUND(FRAME_MAX)];
+    int32_t size = payload_size < 0 ? -1 : frame_seal(&device->session, type, frame, payload_size);
+    if (size > 0)
+        board_send(board, packet, cobs_encode(frame, size, packet));
+}
+
+void outbox_status(struct device *device, struct board *board, uint32_t count_us) {
+    if (!device->session.begun)
+        return;
+    uint8_t frame[FRAME_MAX];
+    struct status *status = &device->status;
+    status->sent_us = clock_at(&device->clock, count_us);
+    status->state = device->state;
+    status->synced = device->clock.synced;
+    status->grouped = device->group.begun;
+    status->holding_tq = held_torque(device);
+    status->sample_count = (uint8_t)history_report(&device->history, status->samples);
+    outbox_send(device, board, FRAME_STATUS, frame,
+                status_encode(status, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX));
+    status->torque_peak_tq = 0;
+}
+
+void outbox_faults(struct device *device, struct board *board) {
+    uint8_t frame[FRAME_MAX];
+    outbox_send(device, board, FRAME_FAULTS, frame,
+                fault_log_encode(&device->faults, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX));
+}
+
+void outbox_settings(struct device *device, struct board *board) {
+    uint8_t frame[FRAME_MAX];
+    outbox_send(
+        device, board, FRAME_SETTINGS, frame,
+        settings_encode(&device->settings, false, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX));
+}

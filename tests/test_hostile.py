@@ -1,0 +1,52 @@
+"""Whoever has the key cannot make a machine leave its limits by more than its monitors' margin.
+
+What is promised of somebody who can sign anything, but sets no zero and lays no hand on it:
+
+- tracks never leave the gate's limits, and no motor is asked for more than its effort limit;
+- the true position stays within the limits and three following limits beyond them. The monitor
+  stops an axis that could not stop within one following limit beyond (ROOM), and brakes it there
+  (OUTSIDE). What is further is the ramp's: it begins from a speed that was averaged over 8 periods,
+  against a torque that the attacker may have left at its limit, with the torque that there is. How
+  far that goes is not computed on the board: it was measured (2.1 at most in ten minutes, arm2 and
+  cart), and it grows with effort over stiffness against the following limit;
+- the true speed stays below one and a half times its limit: 1.25 are watched, the rest is the
+  average's lag (1.12 was measured).
+
+The longer sieges are in scripts/hostile.py.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def load_script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    assert spec and spec.loader
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+hostile = load_script("hostile")
+
+
+@pytest.mark.parametrize("config", ["configs/arm2.yaml", "tests/cart/cart.yaml"])
+def test_a_siege(config: str) -> None:
+    total = hostile.Findings()
+    for found in hostile.siege(ROOT / config, seed=1, seconds=20):
+        total.add(found)
+        assert found.reference == 0
+        assert found.torque <= 1
+        assert found.speed <= hostile.SPEED_MARGIN
+        assert found.outside <= hostile.OUTSIDE_MARGIN
+    # He did get through, and to the edges.
+    assert total.accepted > 0.5 * total.plans > 500
+    assert total.tight > 0.5 * total.accepted
+    assert total.outside > 0.5
+    assert {"RUNNING", "COAST", "TAIL", "HOLD", "FAULT", "ARMED"} <= set(total.states)
