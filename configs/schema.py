@@ -73,6 +73,33 @@ class Loop(Section):
         return -(-self.margin_us // self.knot_us)
 
 
+class Sync(Section):
+    """How the boards' clocks follow the host's, and what may be relied on for that."""
+
+    method: Literal["bounds", "average"] = "bounds"
+    """bounds: to the middle of what the stamps prove. average: by mean offsets and half the round
+    trip; the interval is the same.
+    """
+    limit_us: Annotated[int, Field(ge=10, le=1_000_000)] = 5_000
+    """A board whose clock may be off by more neither arms nor moves. Without known least delays
+    this is half of the shortest round trip, and more.
+    """
+    to_device_least_us: Delay = 0
+    """No frame takes less time to a board: where it is known, it narrows the interval."""
+    to_host_least_us: Delay = 0
+    """No frame takes less time to the host."""
+    drift_ppm: Annotated[float, Field(gt=0, le=300)] = 200.0
+    """A board's oscillator and the host's differ by this much at most."""
+    wander_ppm_per_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    """That difference changes by this much at most, in a second."""
+    average_us: Annotated[int, Field(ge=1_000, le=1_000_000)] = 16_384
+    """average: the time over which offsets are averaged."""
+    average_phase_per_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """average: a clock that is behind by x runs faster by x times this."""
+    average_skew_per_s: Annotated[float, Field(ge=0, le=0.05)] = 0.01
+    """average: and by x times this more each time, which finds its oscillator's own drift."""
+
+
 class Task(Section):
     """What to do: follow a sine on each axis."""
 
@@ -245,6 +272,8 @@ class Config(Section):
     """What all boards share."""
     loop: Loop
     """The rate, and the distance ahead of now."""
+    sync: Sync = Sync()
+    """The clocks."""
     task: Task
     """What to do."""
     mpc: Mpc = Mpc()

@@ -55,8 +55,7 @@ class Remote:
         self._presumed: dict[int, _core.Track] = {}
         self._pending: list[Plan] = []
         self._doomed = 0  # pending plans up to this number are taken to be refused
-        # Send and receive times of statuses, each echoed once and in order: to echo only the
-        # newest would drop the slow ones and bias the devices' clocks.
+        # The device's count and our time of statuses, each echoed once and in order.
         self._echoes: deque[tuple[int, int]] = deque(maxlen=8)
         self._command: Command | None = None
         self._commands = 0
@@ -80,7 +79,7 @@ class Remote:
             self.frames_bad += 1
             return None
         if not self._session.overtaken:  # else only its samples are news
-            self._echoes.append((status.sent_us, received_us))
+            self._echoes.append((status.sent_count_us, received_us))
             self.status = status
             self._settle(status)
         return status

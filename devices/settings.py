@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from headway.configs.axis import Axis
-from headway.configs.schema import Device, Loop
+from headway.configs.schema import Device, Loop, Sync
 from headway.devices.axis import (
     AxisUnits,
     gain_limits,
@@ -28,10 +28,11 @@ WINDING_RISE = 1.1  # of the rated rise of the winding's temperature
 STUCK_COUNTS, STUCK_S = 128, 0.1  # of the setpoint, or pushing hard, without a count
 JOG_SHARE, JOG_RAMP_S = 0.05, 0.2  # of the velocity limit; until that is reached
 SLOW_Q16 = 2**30 - 1  # the fastest that a board homes or jogs, in its own quanta
+SYNC_METHODS = ["bounds", "average"]
 STILL_S = 0.08  # pushing against a stop without a count
 
 
-def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSettings:
+def device_settings(axis: Axis, device: Device, loop: Loop, sync: Sync) -> _core.DeviceSettings:
     """What a board is flashed with, but for its key and session.
 
     Raises ValueError if a limit or a gain does not fit the device's integers.
@@ -69,6 +70,7 @@ def device_settings(axis: Axis, device: Device, loop: Loop) -> _core.DeviceSetti
     settings.set_limits(_core.TRACK_TORQUE, torque_limits(axis, units))
     settings.monitor = monitor_settings(axis, device, loop)
     settings.home = home_settings(axis, device, units)
+    settings.sync = sync_settings(sync)
     policies = _core.GAP_POLICIES
     settings.set_gap_policy(_core.TRACK_POSITION, policies.index(device.position_gap))
     settings.set_gap_policy(_core.TRACK_TORQUE, policies.index(device.torque_gap))
@@ -117,6 +119,22 @@ def monitor_settings(axis: Axis, device: Device, loop: Loop) -> _core.MonitorSet
     monitor.chopper_mV = round(500 * (motor.supply_V + high_V))
     monitor.late_us = 4 * device.servo_period_us
     return monitor
+
+
+def sync_settings(sync: Sync) -> _core.SyncSettings:
+    """How the board keeps its clock."""
+    settings = _core.SyncSettings()
+    settings.method = SYNC_METHODS.index(sync.method)
+    settings.limit_us = sync.limit_us
+    settings.to_device_least_us = sync.to_device_least_us
+    settings.to_host_least_us = sync.to_host_least_us
+    settings.drift_ppm = math.ceil(sync.drift_ppm)
+    settings.wander_ppb_s = math.ceil(sync.wander_ppm_per_s * 1000)
+    settings.interval_us = sync.average_us
+    per_us_q32 = 2.0**32 * 1e-6  # a rate in 2^-32, of an offset in us
+    settings.phase_gain = round(sync.average_phase_per_s * per_us_q32)
+    settings.skew_gain_q8 = round(sync.average_skew_per_s * per_us_q32 * 256)
+    return settings
 
 
 def home_settings(axis: Axis, device: Device, units: AxisUnits) -> _core.HomeSettings:

@@ -54,7 +54,7 @@ static void begin_session(struct device *device) {
     status->command_result = COMMAND_DONE;
     status->plan_seen = status->plan_accepted = status->accepted_mask = 0;
     if (device->state != DEVICE_HOLD) {
-        clock_restart(&device->clock);
+        sync_restart(&device->sync);
         happen(device, EVENT_SYNC_LOST);
     }
 }

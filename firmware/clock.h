@@ -1,45 +1,33 @@
-// The clock map: local count (a free-running 32-bit microsecond counter) to system time, and the
-// filter that keeps it there.
+// The clock map: local count (a free-running 32-bit microsecond counter) to system time.
 //
-// Every sample of the offset comes from four stamps: a status leaves the device at t0 and reaches
-// the host at t1; a frame leaves the host at t2 and reaches the device at t3. With equal mean delays
-// the host is ahead by ((t1 - t0) + (t2 - t3)) / 2: remote minus local, with half the round trip
-// taken off. The clock first steps, by the first sample and by the mean of those that settle it
-// (only while unsynced), then is slewed by at most 2^-CLOCK_SLEW_SHIFT.
+// Between two calls it is a straight line, so it is monotonic but for a step.
 #ifndef HEADWAY_CLOCK_H
 #define HEADWAY_CLOCK_H
 
-#include <stdbool.h>
 #include <stdint.h>
 
-#define CLOCK_SETTLE_SAMPLES 64   // offsets averaged before the second of the two initial steps
-#define CLOCK_SLEW_SHIFT 11       // slewing at most 2^-11 = 488 ppm
-#define CLOCK_SKEW_MAX_Q32 858993 // 200 ppm
-#define CLOCK_PHASE_SHIFT 8       // each offset moves the phase by 1/256 of itself
-#define CLOCK_SKEW_SHIFT_Q32 3    // and the skew by 2^3 / 2^32 = 1.9e-9 per microsecond
+#define CLOCK_RATE_MAX_Q32                                                                         \
+    2147484 // 500 ppm: what a clock is slewed by at most, oscillator included
 
 struct headway_clock {
     int64_t system_us; // system time at `count_us` ...
     uint32_t fraction_q32;
     uint32_t count_us;
-    int32_t skew_q32;    // system rate over local rate, minus one
-    int32_t pending_q16; // phase still to be slewed in, microseconds
-    int64_t stepped_us;  // system time after the last step: older stamps are of another time
-    int32_t settle_sum_us;
-    int32_t settle_count;
-    bool synced;
+    int64_t ticks_us; // `count_us` without its wraps
+    int32_t rate_q32; // system rate over local rate, minus one
 };
 
-// Moves the map's anchor to a later count. Call at least every second.
+// Moves the map's anchor to a later count. Call at least every half hour.
 void clock_advance(struct headway_clock *clock, uint32_t count_us);
 
-// System time of a count within half a minute of the anchor, before or after.
+// System time and ticks of a count within half an hour of the anchor, before or after.
 int64_t clock_at(const struct headway_clock *clock, uint32_t count_us);
+int64_t clock_ticks(const struct headway_clock *clock, uint32_t count_us);
 
-// One offset sample, remote minus local.
-void clock_sample(struct headway_clock *clock, int64_t offset_us);
+// System time at the anchor minus `ticks_us`, relative to `base_us` [us Q16].
+int64_t clock_offset_q16(const struct headway_clock *clock, int64_t base_us);
 
-// Settles anew, with steps.
-void clock_restart(struct headway_clock *clock);
+// Sets that.
+void clock_set(struct headway_clock *clock, int64_t base_us, int64_t offset_q16);
 
 #endif

@@ -26,12 +26,13 @@ enum command_kind {
 
 enum command_result {
     COMMAND_DONE,
-    COMMAND_NOT_NOW, // not in this state
-    COMMAND_UNHOMED, // the axis does not know where it is
-    COMMAND_MOVING,  // the axis is not at rest
-    COMMAND_CAUSE,   // the cause of the fault is still there
-    COMMAND_BAD,     // no such command or argument
-    COMMAND_FAILED,  // the memory did not take it
+    COMMAND_NOT_NOW,  // not in this state
+    COMMAND_UNHOMED,  // the axis does not know where it is
+    COMMAND_MOVING,   // the axis is not at rest
+    COMMAND_CAUSE,    // the cause of the fault is still there
+    COMMAND_BAD,      // no such command or argument
+    COMMAND_FAILED,   // the memory did not take it
+    COMMAND_UNSYNCED, // the clock may be off by more than is allowed
 };
 
 struct command {

@@ -28,6 +28,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us) 
     bool counted = store_count_boot(board, &device->boots);
     store_load_faults(board, &device->faults);
     device->clock.count_us = count_us;
+    sync_restart(&device->sync);
     device->next_servo_us = count_us;
     device->offer.answered_us = count_us - OFFER_PAUSE_US;
     device->brake = true;
@@ -90,6 +91,25 @@ static bool tracks_rest(const struct device *device, int64_t knot) {
     return true;
 }
 
+// Whether the time can be relied on.
+static void follow_sync(struct device *device, uint32_t count_us) {
+    const struct sync *sync = &device->sync;
+    int64_t alone_us = device->clock.ticks_us - sync->heard_us;
+    struct breach alone = {REASON_SYNC_LOST, (int32_t)fixed_clamp64(alone_us, INT32_MAX),
+                           (int32_t)device->settings.sync_lost_us};
+    struct breach wide = {REASON_CLOCK, sync_error_us(sync),
+                          (int32_t)device->settings.sync.limit_us};
+    bool resting = device->state == DEVICE_UNSYNCED || device->state == DEVICE_IDLE;
+    if (resting && sync->outcast > SYNC_OUTCAST) { // not one sample is wrong, but what is known
+        sync_restart(&device->sync);
+        happen(device, EVENT_SYNC_LOST);
+    } else if (sync->settled && alone_us <= device->settings.sync_lost_us) {
+        happen(device, EVENT_SYNCED);
+    } else if (device->state > DEVICE_UNSYNCED) {
+        happen_breach(device, sync->settled ? alone : wide, count_us);
+    }
+}
+
 // What follows from time and from the emergency line.
 static void follow(struct device *device, const struct board *board, uint32_t count_us) {
     int64_t time_us = device->clock.system_us, knot = device_knot_at(device, time_us);
@@ -99,12 +119,7 @@ static void follow(struct device *device, const struct board *board, uint32_t co
         happen(device, EVENT_ESTOP);
     if (device->state == DEVICE_BOOT)
         happen(device, EVENT_BOOTED);
-    int64_t alone_us = time_us - device->sampled_us;
-    if (device->clock.synced && alone_us > device->settings.sync_lost_us) {
-        struct breach alone = {REASON_SYNC_LOST, (int32_t)fixed_clamp64(alone_us, INT32_MAX),
-                               (int32_t)device->settings.sync_lost_us};
-        happen_breach(device, alone, count_us);
-    }
+    follow_sync(device, count_us);
     if (knot - device->accepted_knot > DEVICE_COAST_KNOTS && happen(device, EVENT_OVERDUE))
         device->status.counters.coasts++;
     if (device->state == DEVICE_COAST && tracks_rest(device, knot))
@@ -116,6 +131,9 @@ static void follow(struct device *device, const struct board *board, uint32_t co
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
                        uint32_t late_us) {
     clock_advance(&device->clock, count_us);
+    if (sync_steer(&device->sync, &device->settings.sync, &device->clock,
+                   device->state == DEVICE_UNSYNCED))
+        history_flush(&device->history);
     int64_t time_us = device->clock.system_us;
     measure(device, board, time_us);
     watch(device, board, count_us, late_us);

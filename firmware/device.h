@@ -20,6 +20,7 @@
 #include "settings.h"
 #include "states.h"
 #include "status.h"
+#include "sync.h"
 #include "track.h"
 
 #define DEVICE_COAST_KNOTS 5       // without an accepted plan for longer, RUNNING becomes COAST
@@ -35,7 +36,8 @@ struct device {
     struct session group; // of all devices of the machine
     struct offer offer;
     struct headway_clock clock;
-    int64_t sampled_us; // system time of the clock's last sample
+    struct sync sync;
+    uint32_t heard_count_us; // at which the last stamps arrived
     struct track tracks[TRACK_COUNT];
     struct setpoint setpoint; // of the last one: position, velocity and torque
     struct servo servo;

@@ -9,6 +9,7 @@ enum fault_reason {
     REASON_NONE,
     REASON_HOST,         // the host said stop
     REASON_SYNC_LOST,    // no clock sample for too long; value and limit in us
+    REASON_CLOCK,        // the clock may be off by more than is allowed; us
     REASON_GAP,          // a plan left knots open; missing knots, how many may be filled
     REASON_FOLLOWING,    // following error; pq
     REASON_SPEED,        // measured speed; pq per servo period

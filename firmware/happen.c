@@ -64,7 +64,7 @@ bool happen(struct device *device, enum device_event event) {
         return false;
     switch (to) {
     case DEVICE_UNSYNCED:
-        clock_restart(&device->clock); // it may have run alone for long
+        sync_restart(&device->sync); // it may have run alone for long
         break;
     case DEVICE_ARMED:
         if (from == DEVICE_IDLE)
@@ -99,7 +99,7 @@ bool happen(struct device *device, enum device_event event) {
 
 // A ramp that the axis does not follow is no way to stop it.
 static enum device_event event_of(enum fault_reason reason, enum device_state state) {
-    if (reason == REASON_SYNC_LOST)
+    if (reason == REASON_SYNC_LOST || reason == REASON_CLOCK)
         return EVENT_SYNC_LOST;
     if (state == DEVICE_TAIL && (reason == REASON_FOLLOWING || reason == REASON_TORQUE))
         return EVENT_FAULT;

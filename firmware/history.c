@@ -6,6 +6,10 @@ void history_push(struct history *history, int64_t time_us, int32_t count) {
     history->samples[history->taken++ % HISTORY_SAMPLES] = (struct sample){time_us, count};
 }
 
+void history_flush(struct history *history) {
+    history->reported = history->repeated = history->taken;
+}
+
 int32_t history_report(struct history *history, struct sample *out) {
     uint32_t first = history->repeated;
     if (history->taken - first > HISTORY_SAMPLES)

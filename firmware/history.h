@@ -22,6 +22,9 @@ struct history {
 
 void history_push(struct history *history, int64_t time_us, int32_t count);
 
+// Forgets all samples: their stamps are of another time.
+void history_flush(struct history *history);
+
 // Writes the samples since the report before the last, oldest first, into `out`, which has room for
 // HISTORY_SAMPLES; returns how many.
 int32_t history_report(struct history *history, struct sample *out);

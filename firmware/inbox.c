@@ -110,19 +110,16 @@ static void take_plan(struct device *device, uint32_t count_us, int64_t sent_us)
         counters->plans_refused++;
 }
 
-// Four stamps make a sample of the clock. Those of before the last step are of another time.
-static void take_stamps(struct device *device, const struct stamps *stamps, int64_t received_us) {
-    if (stamps->status_us == 0 || stamps->status_us < device->clock.stepped_us ||
-        stamps->status_us > received_us)
+// Samples of the clock. The first one steps it, in the one state that allows this.
+static void take_stamps(struct device *device, const struct stamps *stamps, uint32_t arrived_us,
+                        uint32_t count_us) {
+    if (!device->sync.begun && device->state != DEVICE_UNSYNCED)
         return;
-    if (!device->clock.synced && device->state != DEVICE_UNSYNCED)
-        return; // it would step: in that state alone
-    int64_t ahead_us = (stamps->status_received_us - stamps->status_us) + // t1 - t0
-                       (stamps->sent_us - received_us);                   // t2 - t3
-    clock_sample(&device->clock, ahead_us / 2);
-    device->sampled_us = device->clock.system_us;
-    if (device->clock.synced)
-        happen(device, EVENT_SYNCED);
+    device->status.heard_us = stamps->sent_us;
+    device->heard_count_us = arrived_us;
+    if (!sync_take(&device->sync, &device->settings.sync, &device->clock, stamps, arrived_us,
+                   count_us))
+        device->status.counters.stamps_excluded++;
 }
 
 // New settings; the key stays. The device answers with those that it has then.
@@ -134,32 +131,30 @@ static void take_settings(struct device *device, const uint8_t *payload, int32_t
         device_configure(device, &settings);
 }
 
-// Whether a frame came after one that was sent later. Its delay is no usual one: no sample for the
-// clock. Of a plan, if the later one was accepted, that one had its points.
+// Whether a frame came after one that was sent later. Of a plan: if that one was accepted, it had
+// the points of this one.
 static bool overtaken(const struct session *session, const uint8_t *frame) {
     return frame_counter(frame) < session->received;
 }
 
 static bool take_frame(struct device *device, struct board *board, const uint8_t *frame,
-                       int32_t size, int64_t received_us, uint32_t count_us) {
+                       int32_t size, uint32_t arrived_us, uint32_t count_us) {
     const uint8_t *payload = frame + FRAME_HEADER_BYTES;
-    bool late = overtaken(&device->session, frame);
     struct stamps stamps;
     struct command command;
     switch (frame[1]) {
     case FRAME_SYNC:
         if (!sync_decode(payload, size, &stamps))
             return false;
-        if (!late)
-            take_stamps(device, &stamps, received_us);
+        take_stamps(device, &stamps, arrived_us, count_us);
         return true;
     case FRAME_PLAN:
         if (!plan_decode(payload, size, &stamps, &device->plan))
             return false;
-        if (!late || device->plan.number >= device->status.plan_accepted)
+        if (!overtaken(&device->session, frame) ||
+            device->plan.number >= device->status.plan_accepted)
             take_plan(device, count_us, stamps.sent_us);
-        if (!late)
-            take_stamps(device, &stamps, received_us);
+        take_stamps(device, &stamps, arrived_us, count_us);
         return true;
     case FRAME_COMMAND:
         if (!command_decode(payload, size, &command))
@@ -181,13 +176,12 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
 }
 
 static bool take_group_frame(struct device *device, const struct board *board, const uint8_t *frame,
-                             int32_t size, int64_t received_us) {
+                             int32_t size, uint32_t arrived_us, uint32_t count_us) {
     const uint8_t *payload = frame + FRAME_HEADER_BYTES;
     struct stamps stamps;
     struct command command;
     if (frame[1] == FRAME_SYNC && sync_decode(payload, size, &stamps)) {
-        if (!overtaken(&device->group, frame))
-            take_stamps(device, &stamps, received_us);
+        take_stamps(device, &stamps, arrived_us, count_us);
         return true;
     }
     if (frame[1] == FRAME_COMMAND && command_decode(payload, size, &command) &&
@@ -207,13 +201,12 @@ void inbox_take(struct device *device, struct board *board, uint8_t *packet, int
         return;
     }
     enum sender sender = size < 0 ? SENDER_NOBODY : admit_frame(device, packet, size);
-    int64_t received_us = clock_at(&device->clock, arrived_us);
     int32_t payload_size = size - FRAME_HEADER_BYTES - FRAME_TAG_BYTES;
     bool taken = false;
     if (sender == SENDER_HOST)
-        taken = take_frame(device, board, packet, payload_size, received_us, count_us);
+        taken = take_frame(device, board, packet, payload_size, arrived_us, count_us);
     else if (sender == SENDER_GROUP)
-        taken = take_group_frame(device, board, packet, payload_size, received_us);
+        taken = take_group_frame(device, board, packet, payload_size, arrived_us, count_us);
     if (!taken)
         device->status.counters.frames_bad++;
 }

@@ -24,6 +24,8 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 using Points = nb::ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Stamps = std::tuple<uint32_t, int64_t, int64_t>;
+using Counts = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Times = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 template <typename T>
@@ -64,7 +66,7 @@ static nb::bytes pack(const std::vector<uint8_t> &frame, int32_t size) {
     return to_bytes(packet, cobs_encode(frame.data(), size, packet.data()));
 }
 
-static stamps make_stamps(const std::tuple<int64_t, int64_t, int64_t> &t) {
+static stamps make_stamps(const Stamps &t) {
     return {std::get<0>(t), std::get<1>(t), std::get<2>(t)};
 }
 
@@ -197,8 +199,8 @@ static void bind_handshake(nb::module_ &m) {
     m.def("welcome_open", &open_welcome, "key"_a, "host_nonce"_a, "packet"_a);
 }
 
-static nb::bytes encode_plan(std::tuple<int64_t, int64_t, int64_t> stamps_us, uint32_t number,
-                             uint16_t epoch, int64_t first_knot, nb::dict tracks) {
+static nb::bytes encode_plan(Stamps stamps_us, uint32_t number, uint16_t epoch, int64_t first_knot,
+                             nb::dict tracks) {
     plan p{};
     p.number = number;
     p.epoch = epoch;
@@ -232,7 +234,7 @@ static nb::object decode_plan(nb::bytes payload) {
         if (p.tracks & 1 << s)
             tracks[nb::int_(s)] =
                 array(std::vector<int32_t>(p.points[s], p.points[s] + p.count), {p.count});
-    auto times = nb::make_tuple(st.status_us, st.status_received_us, st.sent_us);
+    auto times = nb::make_tuple(st.echo_us, st.received_us, st.sent_us);
     return nb::make_tuple(times, p.number, p.epoch, p.first_knot, tracks);
 }
 
@@ -242,7 +244,7 @@ static void bind_payloads(nb::module_ &m) {
     m.def("plan_decode", &decode_plan, "payload"_a);
     m.def(
         "sync_encode",
-        [](std::tuple<int64_t, int64_t, int64_t> stamps_us) {
+        [](Stamps stamps_us) {
             stamps st = make_stamps(stamps_us);
             std::vector<uint8_t> payload(FRAME_PAYLOAD_MAX);
             return to_bytes(payload, sync_encode(&st, payload.data(), FRAME_PAYLOAD_MAX));
@@ -282,6 +284,12 @@ static void bind_payloads(nb::module_ &m) {
     });
     nb::class_<status>(m, "Status")
         .def_ro("sent_us", &status::sent_us)
+        .def_ro("sent_count_us", &status::sent_count_us)
+        .def_ro("least_error_ns", &status::least_error_ns)
+        .def_ro("most_error_ns", &status::most_error_ns)
+        .def_ro("rate_q32", &status::rate_q32)
+        .def_ro("heard_us", &status::heard_us)
+        .def_ro("heard_age_us", &status::heard_age_us)
         .def_ro("state", &status::state)
         .def_ro("refusal", &status::refusal)
         .def_ro("synced", &status::synced)
@@ -306,6 +314,7 @@ static void bind_payloads(nb::module_ &m) {
         .def_prop_ro("plans_refused", [](status &s) { return s.counters.plans_refused; })
         .def_prop_ro("frames_bad", [](status &s) { return s.counters.frames_bad; })
         .def_prop_ro("coasts", [](status &s) { return s.counters.coasts; })
+        .def_prop_ro("stamps_excluded", [](status &s) { return s.counters.stamps_excluded; })
         .def_prop_ro("samples", [](status &s) {
             std::vector<std::tuple<int64_t, int32_t>> samples;
             for (int i = 0; i < s.sample_count; i++)
@@ -394,6 +403,23 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("torque_tq", &home_settings::torque_tq)
         .def_rw("way_counts", &home_settings::way_counts)
         .def_rw("still_periods", &home_settings::still_periods);
+    nb::class_<sync_settings>(m, "SyncSettings")
+        .def(nb::init<>())
+        .def_rw("method", &sync_settings::method)
+        .def_rw("drift_ppm", &sync_settings::drift_ppm)
+        .def_rw("wander_ppb_s", &sync_settings::wander_ppb_s)
+        .def_rw("to_device_least_us", &sync_settings::to_device_least_us)
+        .def_rw("to_host_least_us", &sync_settings::to_host_least_us)
+        .def_rw("limit_us", &sync_settings::limit_us)
+        .def_prop_rw(
+            "interval_us", [](sync_settings &s) { return s.average.interval_us; },
+            [](sync_settings &s, uint32_t value) { s.average.interval_us = value; })
+        .def_prop_rw(
+            "phase_gain", [](sync_settings &s) { return s.average.phase_gain; },
+            [](sync_settings &s, uint16_t value) { s.average.phase_gain = value; })
+        .def_prop_rw(
+            "skew_gain_q8", [](sync_settings &s) { return s.average.skew_gain_q8; },
+            [](sync_settings &s, uint16_t value) { s.average.skew_gain_q8 = value; });
     nb::class_<device_settings>(m, "DeviceSettings")
         .def(nb::init<>())
         .def_prop_rw(
@@ -414,6 +440,7 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("carries_gravity", &device_settings::carries_gravity)
         .def_rw("monitor", &device_settings::monitor)
         .def_rw("home", &device_settings::home)
+        .def_rw("sync", &device_settings::sync)
         .def_prop_ro("valid", [](const device_settings &s) { return settings_valid(&s); })
         .def(
             "encode",
@@ -536,15 +563,26 @@ static void bind_kernels(nb::module_ &m) {
             "settings"_a, "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "encoder_count"_a,
             "integrate"_a = true);
     nb::class_<headway_clock>(m, "Clock")
-        .def("__init__", [](headway_clock *c) { new (c) headway_clock{}; })
-        .def_ro("synced", &headway_clock::synced)
-        .def_rw("skew_q32", &headway_clock::skew_q32)
-        .def_rw("system_us", &headway_clock::system_us)
-        .def_rw("count_us", &headway_clock::count_us)
+        .def(
+            "__init__",
+            [](headway_clock *c, uint32_t count_us) {
+                new (c) headway_clock{0, 0, count_us, 0, 0};
+            },
+            "count_us"_a = 0)
+        .def_rw("rate_q32", &headway_clock::rate_q32)
+        .def_ro("system_us", &headway_clock::system_us)
+        .def_ro("fraction_q32", &headway_clock::fraction_q32)
+        .def_ro("count_us", &headway_clock::count_us)
+        .def_ro("ticks_us", &headway_clock::ticks_us)
         .def("advance", [](headway_clock &c, uint32_t count_us) { clock_advance(&c, count_us); })
         .def("at", [](const headway_clock &c, uint32_t count_us) { return clock_at(&c, count_us); })
-        .def("sample", [](headway_clock &c, int64_t offset_us) { clock_sample(&c, offset_us); })
-        .def("restart", [](headway_clock &c) { clock_restart(&c); });
+        .def("ticks",
+             [](const headway_clock &c, uint32_t count_us) { return clock_ticks(&c, count_us); })
+        .def("offset_q16",
+             [](const headway_clock &c, int64_t base_us) { return clock_offset_q16(&c, base_us); })
+        .def("set", [](headway_clock &c, int64_t base_us, int64_t offset_q16) {
+            clock_set(&c, base_us, offset_q16);
+        });
     m.def("next_state", [](int state, int event) {
         if (state < 0 || state >= DEVICE_STATES || event < 0 || event >= DEVICE_EVENTS)
             throw std::invalid_argument("no such state or event");
@@ -554,6 +592,81 @@ static void bind_kernels(nb::module_ &m) {
         return gap_policy_valid((track_sink)sink, (gap_policy)policy, carries_gravity);
     });
     m.def("fault_response", [](int reason) { return (int)fault_response((fault_reason)reason); });
+}
+
+// A clock that is synchronized: what a device has of it.
+struct synced_clock {
+    sync_settings settings;
+    headway_clock clock;
+    struct sync sync;
+};
+
+// Rows in the order of their counts: at each the clock is advanced, stamps are taken if there are
+// any (sent_us not 0), and the clock is steered. Tells after each row.
+static nb::tuple follow(synced_clock &s, Counts count_us, Counts arrived_us, Counts echo_us,
+                        Times received_us, Times sent_us, bool may_step) {
+    size_t n = count_us.shape(0);
+    if (arrived_us.shape(0) != n || echo_us.shape(0) != n || received_us.shape(0) != n ||
+        sent_us.shape(0) != n)
+        throw std::invalid_argument("all columns have as many rows");
+    std::vector<int64_t> system_us(n);
+    std::vector<uint32_t> fraction_q32(n);
+    std::vector<int32_t> least_ns(n), most_ns(n);
+    std::vector<uint8_t> settled(n);
+    for (size_t i = 0; i < n; i++) {
+        clock_advance(&s.clock, count_us.data()[i]);
+        if (sent_us.data()[i] != 0) {
+            stamps st{echo_us.data()[i], received_us.data()[i], sent_us.data()[i]};
+            sync_take(&s.sync, &s.settings, &s.clock, &st, arrived_us.data()[i],
+                      count_us.data()[i]);
+        }
+        sync_steer(&s.sync, &s.settings, &s.clock, may_step && !s.sync.settled);
+        system_us[i] = s.clock.system_us;
+        fraction_q32[i] = s.clock.fraction_q32;
+        least_ns[i] = s.sync.least_error_ns;
+        most_ns[i] = s.sync.most_error_ns;
+        settled[i] = s.sync.settled;
+    }
+    return nb::make_tuple(array(std::move(system_us), {n}), array(std::move(fraction_q32), {n}),
+                          array(std::move(least_ns), {n}), array(std::move(most_ns), {n}),
+                          array(std::move(settled), {n}));
+}
+
+static void bind_sync(nb::module_ &m) {
+    nb::class_<synced_clock>(m, "Sync")
+        .def(
+            "__init__",
+            [](synced_clock *s, const sync_settings &settings, uint32_t count_us) {
+                new (s) synced_clock{settings, {0, 0, count_us, 0, 0}, {}};
+                sync_restart(&s->sync);
+            },
+            "settings"_a, "count_us"_a = 0)
+        .def_prop_ro(
+            "clock", [](synced_clock &s) -> headway_clock & { return s.clock; },
+            nb::rv_policy::reference_internal)
+        .def_prop_ro("settled", [](synced_clock &s) { return s.sync.settled; })
+        .def_prop_ro("excluded", [](synced_clock &s) { return s.sync.excluded; })
+        .def_prop_ro("outcast", [](synced_clock &s) { return s.sync.outcast; })
+        .def_prop_ro("least_error_ns", [](synced_clock &s) { return s.sync.least_error_ns; })
+        .def_prop_ro("most_error_ns", [](synced_clock &s) { return s.sync.most_error_ns; })
+        .def_prop_ro("error_us", [](synced_clock &s) { return sync_error_us(&s.sync); })
+        .def("restart", [](synced_clock &s) { sync_restart(&s.sync); })
+        .def(
+            "take",
+            [](synced_clock &s, Stamps stamps_us, uint32_t arrived_us, uint32_t now_us) {
+                stamps st = make_stamps(stamps_us);
+                return sync_take(&s.sync, &s.settings, &s.clock, &st, arrived_us, now_us);
+            },
+            "stamps_us"_a, "arrived_us"_a, "now_us"_a)
+        .def(
+            "steer",
+            [](synced_clock &s, uint32_t count_us, bool may_step) {
+                clock_advance(&s.clock, count_us);
+                return sync_steer(&s.sync, &s.settings, &s.clock, may_step);
+            },
+            "count_us"_a, "may_step"_a)
+        .def("follow", &follow, "count_us"_a, "arrived_us"_a, "echo_us"_a, "received_us"_a,
+             "sent_us"_a, "may_step"_a = true);
 }
 
 static void bind_stops(nb::module_ &m) {
@@ -614,15 +727,16 @@ static void name_numbers(nb::module_ &m) {
                              "COAST", "TAIL",     "HOLD", "FAULT", "ESTOP"};
     m.attr("EVENTS") = Names{"BOOTED", "SYNCED", "SYNC_LOST", "ARM",   "DISARM", "PLAN", "OVERDUE",
                              "RESTED", "RESUME", "STOP",      "FAULT", "CLEAR",  "ESTOP"};
-    m.attr("REASONS") = Names{"NONE",    "HOST",  "SYNC_LOST", "GAP",          "FOLLOWING",
-                              "SPEED",   "ROOM",  "TORQUE",    "HOMING",       "GAP_FAULT",
-                              "OUTSIDE", "I2T",   "WINDING",   "UNDERVOLTAGE", "OVERVOLTAGE",
-                              "LATE",    "STUCK", "REVERSED",  "SPIKE",        "SETTINGS"};
+    m.attr("REASONS") =
+        Names{"NONE",     "HOST",    "SYNC_LOST",    "CLOCK",       "GAP",       "FOLLOWING",
+              "SPEED",    "ROOM",    "TORQUE",       "HOMING",      "GAP_FAULT", "OUTSIDE",
+              "I2T",      "WINDING", "UNDERVOLTAGE", "OVERVOLTAGE", "LATE",      "STUCK",
+              "REVERSED", "SPIKE",   "SETTINGS"};
     m.attr("RESPONSES") = Names{"TAIL", "FAULT", "BRAKE"};
     m.attr("COMMANDS") =
         Names{"ARM", "DISARM", "RESUME", "STOP", "CLEAR", "HOME", "JOG", "ZERO", "SAVE", "FAULTS"};
     m.attr("COMMAND_RESULTS") =
-        Names{"DONE", "NOT_NOW", "UNHOMED", "MOVING", "CAUSE", "BAD", "FAILED"};
+        Names{"DONE", "NOT_NOW", "UNHOMED", "MOVING", "CAUSE", "BAD", "FAILED", "UNSYNCED"};
     m.attr("GAP_POLICIES") = Names{"interpolate", "ramp", "hold", "zero", "fault"};
     m.attr("HOME_METHODS") = Names{"none", "index", "switch", "stop"};
 }
@@ -662,5 +776,6 @@ NB_MODULE(_core, m) {
     bind_payloads(m);
     bind_settings(m);
     bind_kernels(m);
+    bind_sync(m);
     bind_stops(m);
 }

@@ -21,6 +21,8 @@ static enum command_result arm(struct device *device, const struct board *board,
         return COMMAND_UNHOMED;
     if (!device_at_rest(device))
         return COMMAND_MOVING;
+    if (!device->sync.settled)
+        return COMMAND_UNSYNCED;
     device->hold_tq = command->argument;
     begin_epoch(device, command->epoch);
     happen(device, EVENT_ARM);
@@ -32,6 +34,8 @@ static enum command_result resume(struct device *device, const struct command *c
         return COMMAND_NOT_NOW;
     if (command->epoch == device->status.epoch) // plans from before could still arrive
         return COMMAND_BAD;
+    if (!device->sync.settled)
+        return COMMAND_UNSYNCED;
     begin_epoch(device, command->epoch);
     happen(device, EVENT_RESUME);
     return COMMAND_DONE;

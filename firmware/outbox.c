@@ -17,7 +17,12 @@ void outbox_status(struct device *device, struct board *board, uint32_t count_us
     struct status *status = &device->status;
     status->sent_us = clock_at(&device->clock, count_us);
     status->state = device->state;
-    status->synced = device->clock.synced;
+    status->sent_count_us = count_us;
+    status->least_error_ns = device->sync.least_error_ns;
+    status->most_error_ns = device->sync.most_error_ns;
+    status->rate_q32 = device->clock.rate_q32;
+    status->heard_age_us = count_us - device->heard_count_us;
+    status->synced = device->sync.settled;
     status->grouped = device->group.begun;
     status->holding_tq = held_torque(device);
     status->sample_count = (uint8_t)history_report(&device->history, status->samples);

@@ -2,8 +2,8 @@
 #include "wire.h" // fields and varints
 
 static void write_stamps(struct writer *w, const struct stamps *stamps) {
-    write_uint(w, (uint64_t)stamps->status_us, 8);
-    write_uint(w, (uint64_t)stamps->status_received_us, 8);
+    write_uint(w, stamps->echo_us, 4);
+    write_uint(w, (uint64_t)stamps->received_us, 8);
     write_uint(w, (uint64_t)stamps->sent_us, 8);
 }
 
@@ -15,8 +15,8 @@ static int64_t read_time(struct reader *r) {
 }
 
 static void read_stamps(struct reader *r, struct stamps *stamps) {
-    stamps->status_us = read_time(r);
-    stamps->status_received_us = read_time(r);
+    stamps->echo_us = (uint32_t)read_uint(r, 4);
+    stamps->received_us = read_time(r);
     stamps->sent_us = read_time(r);
 }
 

@@ -1,27 +1,20 @@
 // The payload of a PLAN frame: every track's points from one knot on, for one device; and the SYNC
 // payload, which is its head alone.
 //
-//     status_us i64, status_received_us i64, sent_us i64      stamps for the clock
+//     echo_us u32, received_us i64, sent_us i64      stamps for the clock, see stamps.h
 //     number u32, epoch u16, first_knot i64, tracks u8, count u8      only in a PLAN
 //     for each track in the mask, count zigzag varints: the first point, the first difference, then
 //     second differences (a smooth curve's are small: about two bytes a point)
 #ifndef HEADWAY_PLAN_H
 #define HEADWAY_PLAN_H
 
+#include "stamps.h"
 #include <stdbool.h>
-#include <stdint.h>
 
 #define PLAN_POINTS_MAX 128
 #define PLAN_TIME_MAX (1LL << 60) // no stamp beyond: sums and differences of a few cannot overflow
 
 enum track_sink { TRACK_POSITION, TRACK_TORQUE, TRACK_KP, TRACK_KI, TRACK_KD, TRACK_COUNT };
-
-// Stamps that a host frame carries: the last status' send and receive time, this frame's send time.
-struct stamps {
-    int64_t status_us;          // t0, the device's system time; 0 before the first status
-    int64_t status_received_us; // t1, the host's
-    int64_t sent_us;            // t2, the host's
-};
 
 struct plan {
     uint32_t number; // counts up from 1

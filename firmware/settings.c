@@ -27,6 +27,14 @@ static bool home_valid(const struct home_settings *home) {
            home->acceleration_q16 > 0 && home->torque_tq >= 0 && home->way_counts >= 0;
 }
 
+// Slewing needs room beside the drift.
+static bool sync_valid(const struct sync_settings *sync) {
+    return sync->method < SYNC_METHODS && sync->drift_ppm <= SYNC_DRIFT_MAX_PPM &&
+           sync->wander_ppb_s <= SYNC_WANDER_MAX_PPB_S && sync->limit_us > 0 &&
+           sync->limit_us <= SYNC_LIMIT_MAX_US && sync->to_device_least_us <= SYNC_LIMIT_MAX_US &&
+           sync->to_host_least_us <= SYNC_LIMIT_MAX_US;
+}
+
 bool settings_valid(const struct device_settings *settings) {
     for (int32_t sink = 0; sink < TRACK_COUNT; sink++) {
         const struct gate_limits *limits = &settings->limits[sink];
@@ -43,7 +51,8 @@ bool settings_valid(const struct device_settings *settings) {
            settings->servo_period_us > 0 && settings->sample_every > 0 &&
            settings->torque_step_tq > 0 && scale_valid(settings->knot_periods) &&
            settings->name[SETTINGS_NAME_MAX] == 0 && servo_valid(&settings->servo) &&
-           monitor_valid(&settings->monitor) && home_valid(&settings->home);
+           monitor_valid(&settings->monitor) && home_valid(&settings->home) &&
+           sync_valid(&settings->sync);
 }
 
 static void visit_limits(struct fields *f, struct gate_limits *limits) {
@@ -101,6 +110,18 @@ static void visit_home(struct fields *f, struct home_settings *home) {
     field_u16(f, &home->still_periods);
 }
 
+static void visit_sync(struct fields *f, struct sync_settings *sync) {
+    field_u8(f, &sync->method);
+    field_u16(f, &sync->drift_ppm);
+    field_u16(f, &sync->wander_ppb_s);
+    field_u32(f, &sync->to_device_least_us);
+    field_u32(f, &sync->to_host_least_us);
+    field_u32(f, &sync->limit_us);
+    field_u32(f, &sync->average.interval_us);
+    field_u16(f, &sync->average.phase_gain);
+    field_u16(f, &sync->average.skew_gain_q8);
+}
+
 static void visit(struct fields *f, struct device_settings *settings, bool with_key) {
     uint8_t format = SETTINGS_FORMAT;
     field_u8(f, &format);
@@ -124,6 +145,7 @@ static void visit(struct fields *f, struct device_settings *settings, bool with_
     visit_servo(f, &settings->servo);
     visit_monitor(f, &settings->monitor);
     visit_home(f, &settings->home);
+    visit_sync(f, &settings->sync);
 }
 
 int32_t settings_encode(const struct device_settings *settings, bool with_key, uint8_t *bytes,

@@ -8,9 +8,10 @@
 #include "monitor.h"
 #include "servo.h"
 #include "siphash.h"
+#include "sync.h"
 
 #define SETTINGS_NAME_MAX 25   // bytes of UTF-8
-#define SETTINGS_FORMAT 1      // of their bytes; another one is not read
+#define SETTINGS_FORMAT 2      // of their bytes; another one is not read
 #define SETTINGS_BYTES_MAX 480 // of their bytes, at most
 
 struct device_settings {
@@ -31,6 +32,7 @@ struct device_settings {
     struct servo_settings servo;
     struct monitor_settings monitor;
     struct home_settings home;
+    struct sync_settings sync;
 };
 
 // Whether every number is within what the arithmetic and the promises rely on.

@@ -4,6 +4,12 @@
 int32_t status_encode(const struct status *status, uint8_t *payload, int32_t capacity) {
     struct writer w = {payload, capacity, 0, false};
     write_uint(&w, (uint64_t)status->sent_us, 8);
+    write_uint(&w, status->sent_count_us, 4);
+    write_uint(&w, (uint32_t)status->least_error_ns, 4);
+    write_uint(&w, (uint32_t)status->most_error_ns, 4);
+    write_uint(&w, (uint32_t)status->rate_q32, 4);
+    write_uint(&w, (uint64_t)status->heard_us, 8);
+    write_uint(&w, status->heard_age_us, 4);
     write_uint(&w, status->state, 1);
     write_uint(&w, status->refusal, 1);
     write_uint(&w,
@@ -23,6 +29,7 @@ int32_t status_encode(const struct status *status, uint8_t *payload, int32_t cap
     write_uint(&w, status->counters.plans_refused, 4);
     write_uint(&w, status->counters.frames_bad, 4);
     write_uint(&w, status->counters.coasts, 4);
+    write_uint(&w, status->counters.stamps_excluded, 4);
     write_uint(&w, (uint32_t)status->torque_peak_tq, 4);
     write_uint(&w, status->torque_clipped, 4);
     if (status->sample_count > STATUS_SAMPLES_MAX)
@@ -40,6 +47,12 @@ int32_t status_encode(const struct status *status, uint8_t *payload, int32_t cap
 bool status_decode(const uint8_t *payload, int32_t size, struct status *status) {
     struct reader r = {payload, size, 0, false};
     status->sent_us = (int64_t)read_uint(&r, 8);
+    status->sent_count_us = (uint32_t)read_uint(&r, 4);
+    status->least_error_ns = (int32_t)(uint32_t)read_uint(&r, 4);
+    status->most_error_ns = (int32_t)(uint32_t)read_uint(&r, 4);
+    status->rate_q32 = (int32_t)(uint32_t)read_uint(&r, 4);
+    status->heard_us = (int64_t)read_uint(&r, 8);
+    status->heard_age_us = (uint32_t)read_uint(&r, 4);
     status->state = (uint8_t)read_uint(&r, 1);
     status->refusal = (uint8_t)read_uint(&r, 1);
     uint64_t flags = read_uint(&r, 1);
@@ -60,6 +73,7 @@ bool status_decode(const uint8_t *payload, int32_t size, struct status *status) 
     status->counters.plans_refused = (uint32_t)read_uint(&r, 4);
     status->counters.frames_bad = (uint32_t)read_uint(&r, 4);
     status->counters.coasts = (uint32_t)read_uint(&r, 4);
+    status->counters.stamps_excluded = (uint32_t)read_uint(&r, 4);
     status->torque_peak_tq = (int32_t)(uint32_t)read_uint(&r, 4);
     status->torque_clipped = (uint32_t)read_uint(&r, 4);
     status->sample_count = (uint8_t)read_uint(&r, 1);

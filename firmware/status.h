@@ -11,16 +11,22 @@
 
 struct counters {
     uint32_t plans_accepted;
-    uint32_t plans_late;    // refused: a live point would have changed
-    uint32_t plans_refused; // refused by the gate for any other reason
-    uint32_t frames_bad;    // not authentic, malformed, replayed
-    uint32_t coasts;        // RUNNING -> COAST
+    uint32_t plans_late;      // refused: a live point would have changed
+    uint32_t plans_refused;   // refused by the gate for any other reason
+    uint32_t frames_bad;      // not authentic, malformed, replayed
+    uint32_t coasts;          // RUNNING -> COAST
+    uint32_t stamps_excluded; // contradicted what was known of the host's time
 };
 
 struct status {
-    int64_t sent_us; // the device's system time
-    uint8_t state;   // enum device_state
-    uint8_t refusal; // enum gate_result of the last refused plan
+    int64_t sent_us;                       // the device's system time ...
+    uint32_t sent_count_us;                // ... and its count, to be echoed
+    int32_t least_error_ns, most_error_ns; // its system time minus the host's lies between them
+    int32_t rate_q32;                      // of its system time against its count, minus one
+    int64_t heard_us;                      // the host's stamp in the frame that came last ...
+    uint32_t heard_age_us;                 // ... and how long before this status that was
+    uint8_t state;                         // enum device_state
+    uint8_t refusal;                       // enum gate_result of the last refused plan
     bool synced;
     bool homed;              // the axis knows where it is
     bool released;           // the brake is off and has had time to let go

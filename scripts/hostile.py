@@ -84,7 +84,7 @@ class Attacker:
     def __init__(self, config: Config, index: int, plant: Plant, rng: np.random.Generator) -> None:
         self.axis, self.rng, self.plant, self.index = config.machine.axes[index], rng, plant, index
         self.units = AxisUnits.of(self.axis, config.loop)
-        self.settings = device_settings(self.axis, config.device, config.loop)
+        self.settings = device_settings(self.axis, config.device, config.loop, config.sync)
         self.shift = self.settings.knot_shift
         self.settings.key = rng.bytes(16)
         self.limits = {sink: self.settings.limits(sink) for sink in range(5)}

@@ -108,7 +108,9 @@ class Lockstep:
     ) -> Remote:
         """Flashes a board with its settings, a key and an oscillator of its own."""
         config = self.config
-        settings = device_settings(config.machine.axes[device], config.device, config.loop)
+        settings = device_settings(
+            config.machine.axes[device], config.device, config.loop, config.sync
+        )
         settings.key = world.bytes(16)
         if config.machine.axes[device].homing is not None:
             self._forget(device, world)
@@ -226,7 +228,8 @@ class Lockstep:
         setpoints = zip(*(node.setpoint(system_us) for node in plant.nodes), strict=True)
         torques = [node.torque_tq for node in plant.nodes]
         unclipped = [node.unclipped_tq for node in plant.nodes]
-        self.record.add(("servo", system_us, (*setpoints, torques, unclipped)))
+        errors = [node.system_us(true_us) - system_us for node in plant.nodes]
+        self.record.add(("servo", system_us, (*setpoints, torques, unclipped, errors)))
         self._publish()
 
     def _note_end(self) -> None:

@@ -139,7 +139,7 @@ NB_MODULE(_board, m) {
                          return nb::int_(n->device.session.number);
                      })
         .def_prop_ro("settings", [](Node &n) { return n->device.settings; })
-        .def_prop_ro("synced", [](Node &n) { return n->device.clock.synced; })
+        .def_prop_ro("synced", [](Node &n) { return n->device.sync.settled; })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })

@@ -96,6 +96,14 @@ def home_settings() -> _core.HomeSettings:
     return home
 
 
+def sync_settings() -> _core.SyncSettings:
+    """Oscillators as good as a crystal; a wire that is not known."""
+    sync = _core.SyncSettings()
+    sync.drift_ppm, sync.wander_ppb_s, sync.limit_us = 200, 1000, 40_000
+    sync.interval_us, sync.phase_gain, sync.skew_gain_q8 = 16_000, 4000, 10_000
+    return sync
+
+
 def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
     """A quarter of a torque quantum per pq, 1 mV per 1024 tq, a duty of one per mV."""
     servo = _core.ServoSettings()
@@ -113,6 +121,7 @@ def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
     settings.knot_periods = _core.Scale(4194, 10)
     settings.carries_gravity = True
     settings.monitor, settings.home = monitor_settings(), home_settings()
+    settings.sync = sync_settings()
     settings.set_limits(POSITION, _core.GateLimits(-(1 << 28), 1 << 28, 1 << 20, 1 << 18))
     settings.set_limits(TORQUE, _core.GateLimits(-(1 << 20), 1 << 20, 1 << 21, 1 << 22))
     settings.set_limits(KP, _core.GateLimits(0, 1 << 24, 1 << 24, 1 << 25))
@@ -202,7 +211,7 @@ class Rig:
             assert status is not None
             self.statuses.append(status)
             self.payload = payload
-            self.stamps = (status.sent_us, self.epoch_us + arrival)
+            self.stamps = (status.sent_count_us, self.epoch_us + arrival)
         self.flying = [f for f in self.flying if f[0] > self.now]
         if self.syncing and self.welcomed and self.now % 4000 == 0:
             payload = _core.sync_encode((*self.stamps, self.host_us))
@@ -362,7 +371,7 @@ UNITS = AxisUnits.of(CART, CONFIG.loop)
 
 def cart_settings() -> _core.DeviceSettings:
     """As a board of the cart's hinge is flashed."""
-    settings = axis_settings(CART, CONFIG.device, CONFIG.loop)
+    settings = axis_settings(CART, CONFIG.device, CONFIG.loop, CONFIG.sync)
     settings.key = KEY
     return settings
 

@@ -77,6 +77,10 @@ _ALL = (
         Field("coasts", "int", "", "times the plans stopped coming, ever"),
         Field("sample_time_us", "int list", "us", "the samples' stamps"),
         Field("sample_count", "int list", "counts", "the encoder at those times"),
+        Field("least_error_ns", "int", "ns", "its clock minus the host's is at least this ..."),
+        Field("most_error_ns", "int", "ns", "... and at most this, as far as it knows"),
+        Field("rate_q32", "int", "2^-32", "its clock's rate over its oscillator's, minus one"),
+        Field("stamps_excluded", "int", "", "contradicted what it knew of the host's time, ever"),
     ),
     _channel(
         "sent",
@@ -170,6 +174,7 @@ _ALL = (
         Field("setpoint_torque_tq", "int vector", "tq", "torque or force of the track"),
         Field("torque_tq", "int vector", "tq", "asked of the motor"),
         Field("unclipped_tq", "int vector", "tq", "the same before the torque limit"),
+        Field("clock_error_us", "int vector", "us", "the device's clock minus the host's"),
     ),
     _channel(
         "end",

@@ -56,9 +56,13 @@ def _received(_: str, now_us: int, packets: list[tuple[int, int, bytes]], good: 
         if status is None:
             decoded = [ZERO[field.kind] for field in CHANNELS["received"].fields[3:]]
         else:
-            decoded = [getattr(status, f.name) for f in CHANNELS["received"].fields[3:-2]]
-            decoded.append([time_us for time_us, _ in status.samples])
-            decoded.append([count for _, count in status.samples])
+            samples = status.samples
+            lists = {
+                "sample_time_us": [time_us for time_us, _ in samples],
+                "sample_count": [count for _, count in samples],
+            }
+            names = [field.name for field in CHANNELS["received"].fields[3:]]
+            decoded = [lists[n] if n in lists else getattr(status, n) for n in names]
         yield "received", received_us, (device, status is not None, raw, *decoded)
 
 

@@ -67,7 +67,7 @@ def _integers(subject: Subject) -> Rule:
     config, name = subject.config, "board: limits and gains as integers"
     for axis in subject.axes:
         try:
-            device_settings(axis, config.device, config.loop)
+            device_settings(axis, config.device, config.loop, config.sync)
         except ValueError as error:
             text = str(error).removeprefix(f"{axis.joint}: ")
             return Rule(name, Status.FAIL, axis=axis.joint, remedy=f"{axis.joint}: {text}")

@@ -1,0 +1,186 @@
+#include "bounds.h"
+#include "fixed.h" // clamp
+#include <string.h>
+
+#define SOLVE_ROUNDS 8 // of Newton's method; each ends with a valid bound
+
+void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
+                  int64_t ticks_us) {
+    memset(bounds, 0, sizeof *bounds);
+    bounds->base_us = base_us;
+    bounds->ticks_us = ticks_us;
+    bounds->lower.skew_q32 = bounds->upper.skew_q32 = -(int64_t)limits->drift_q32;
+}
+
+// wander a^2 / 2, rounded up: ages in 1024 us keep the product within 64 bits.
+static int64_t slack_q16(const struct bounds_limits *limits, int64_t age_us) {
+    int64_t age = (age_us + 1023) >> 10;
+    return ((age * age * limits->wander_q64) >> 29) + 1;
+}
+
+// What a line says now if the skew is `skew_q32`, rounded down.
+static int64_t line_q16(const struct bounds_limits *limits, const struct bounds_line *line,
+                        int64_t ticks_us, int64_t skew_q32) {
+    int64_t age_us = ticks_us - line->ticks_us;
+    return line->value_q16 + ((skew_q32 * age_us) >> 16) - slack_q16(limits, age_us);
+}
+
+// The highest line at a skew.
+static const struct bounds_line *highest(const struct bounds_limits *limits,
+                                         const struct bounds_side *side, int64_t ticks_us,
+                                         int64_t skew_q32, int64_t *value_q16) {
+    const struct bounds_line *best = side->lines; // there is one
+    *value_q16 = line_q16(limits, best, ticks_us, skew_q32);
+    for (int32_t i = 1; i < side->count; i++) {
+        int64_t value = line_q16(limits, &side->lines[i], ticks_us, skew_q32);
+        if (value > *value_q16) {
+            best = &side->lines[i];
+            *value_q16 = value;
+        }
+    }
+    return best;
+}
+
+static void forget(struct bounds_side *side, int32_t index) {
+    side->count--;
+    memmove(&side->lines[index], &side->lines[index + 1],
+            (size_t)(side->count - index) * sizeof *side->lines);
+}
+
+void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, int64_t ticks_us) {
+    int64_t elapsed_us = ticks_us - bounds->ticks_us;
+    if (elapsed_us <= 0)
+        return;
+    // Beyond a minute the skew may be anything within the drift.
+    int64_t wandering_us = elapsed_us < 1 << 26 ? elapsed_us : 1 << 26;
+    int64_t wandered_q32 = ((wandering_us * limits->wander_q64) >> 32) + 1;
+    bounds->ticks_us = ticks_us;
+    struct bounds_side *sides[] = {&bounds->lower, &bounds->upper};
+    for (int32_t i = 0; i < 2; i++) {
+        struct bounds_side *side = sides[i];
+        side->skew_q32 -= wandered_q32;
+        if (side->skew_q32 < -limits->drift_q32)
+            side->skew_q32 = -limits->drift_q32;
+        // The skew was at least this all the way.
+        side->value_q16 += ((side->skew_q32 * elapsed_us) >> 16);
+        while (side->count > 1 && ticks_us - side->lines[0].ticks_us > BOUNDS_AGE_MAX)
+            forget(side, 0);
+    }
+}
+
+// The least skew, seen from `side`, at which its lines and those of the other side leave room, by
+// Newton's method on the gap between the two convex outlines: as it is concave, no step goes too far.
+// False if there is no such skew.
+static bool bound_skew(const struct bounds_limits *limits, struct bounds_side *side,
+                       const struct bounds_side *other, int64_t ticks_us) {
+    for (int32_t round = 0; round < SOLVE_ROUNDS; round++) {
+        int64_t mine_q16, its_q16;
+        const struct bounds_line *mine = highest(limits, side, ticks_us, side->skew_q32, &mine_q16);
+        const struct bounds_line *its = highest(limits, other, ticks_us, -side->skew_q32, &its_q16);
+        int64_t overlap_q16 = mine_q16 + its_q16;
+        if (overlap_q16 <= 0)
+            return true;
+        int64_t slope_us = mine->ticks_us - its->ticks_us; // by which the overlap shrinks
+        if (slope_us <= 0)
+            return false;
+        int64_t step_q32 = overlap_q16 >= 1LL << 46 ? INT64_MAX : (overlap_q16 << 16) / slope_us;
+        if (step_q32 > 2 * (int64_t)limits->drift_q32)
+            return false;
+        if (step_q32 == 0)
+            return true;
+        side->skew_q32 += step_q32;
+    }
+    return true;
+}
+
+static bool solve(struct bounds *bounds, const struct bounds_limits *limits) {
+    struct bounds_side *lower = &bounds->lower, *upper = &bounds->upper;
+    if (!bounds_closed(bounds))
+        return true;
+    if (!bound_skew(limits, lower, upper, bounds->ticks_us) ||
+        !bound_skew(limits, upper, lower, bounds->ticks_us) || lower->skew_q32 > -upper->skew_q32)
+        return false;
+    struct bounds_side *sides[] = {lower, upper};
+    for (int32_t i = 0; i < 2; i++) {
+        int64_t value_q16;
+        highest(limits, sides[i], bounds->ticks_us, sides[i]->skew_q32, &value_q16);
+        if (value_q16 > sides[i]->value_q16)
+            sides[i]->value_q16 = value_q16;
+    }
+    return lower->value_q16 <= -upper->value_q16;
+}
+
+// Makes room for a line: that one goes which is furthest below the outline of the others.
+static void prune(struct bounds_side *side, const struct bounds_limits *limits, int64_t ticks_us,
+                  int64_t skew_most_q32) {
+    enum { PROBES = 5 };
+    int64_t top_q16[PROBES], deficit_q16 = -1;
+    int32_t least = 0;
+    int64_t range_q32 = skew_most_q32 - side->skew_q32;
+    for (int32_t k = 0; k < PROBES; k++)
+        highest(limits, side, ticks_us, side->skew_q32 + range_q32 * k / (PROBES - 1), &top_q16[k]);
+    for (int32_t i = 0; i < side->count; i++) {
+        int64_t nearest_q16 = INT64_MAX;
+        for (int32_t k = 0; k < PROBES; k++) {
+            int64_t skew_q32 = side->skew_q32 + range_q32 * k / (PROBES - 1);
+            int64_t below = top_q16[k] - line_q16(limits, &side->lines[i], ticks_us, skew_q32);
+            nearest_q16 = below < nearest_q16 ? below : nearest_q16;
+        }
+        if (nearest_q16 > deficit_q16) {
+            deficit_q16 = nearest_q16;
+            least = i;
+        }
+    }
+    forget(side, least);
+}
+
+static void insert(struct bounds_side *side, struct bounds_line line) {
+    int32_t at = side->count;
+    while (at > 0 && side->lines[at - 1].ticks_us > line.ticks_us)
+        at--;
+    memmove(&side->lines[at + 1], &side->lines[at],
+            (size_t)(side->count - at) * sizeof *side->lines);
+    side->lines[at] = line;
+    side->count++;
+}
+
+bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, bool is_upper,
+                  int64_t value_q16, int64_t ticks_us) {
+    struct bounds_side *side = is_upper ? &bounds->upper : &bounds->lower;
+    const struct bounds_side *other = is_upper ? &bounds->lower : &bounds->upper;
+    struct bounds_line line = {is_upper ? -value_q16 : value_q16, ticks_us};
+    if (bounds->ticks_us - ticks_us > BOUNDS_AGE_MAX)
+        return true; // too old to say anything
+    int64_t least_q16 = line_q16(limits, &line, bounds->ticks_us, side->skew_q32);
+    int64_t most_q16 = line_q16(limits, &line, bounds->ticks_us, -other->skew_q32);
+    if (other->count > 0 && least_q16 > -other->value_q16)
+        return false;
+    if (side->count > 0 && most_q16 <= side->value_q16)
+        return true; // known
+    struct bounds before = *bounds;
+    if (side->count == BOUNDS_LINES)
+        prune(side, limits, bounds->ticks_us, -other->skew_q32);
+    if (side->count == 0 || least_q16 > side->value_q16)
+        side->value_q16 = least_q16;
+    insert(side, line);
+    if (solve(bounds, limits))
+        return true;
+    *bounds = before;
+    return false;
+}
+
+bool bounds_closed(const struct bounds *bounds) {
+    return bounds->lower.count > 0 && bounds->upper.count > 0;
+}
+
+int64_t bounds_lower_q16(const struct bounds *bounds) { return bounds->lower.value_q16; }
+
+int64_t bounds_upper_q16(const struct bounds *bounds) { return -bounds->upper.value_q16; }
+
+int64_t bounds_middle_q16(const struct bounds *bounds) {
+    return (bounds->lower.value_q16 - bounds->upper.value_q16) >> 1;
+}
+
+int32_t bounds_skew_q32(const struct bounds *bounds) {
+    return (int32_t)((bounds->lower.skew_q32 - bounds->upper.skew_q32) >> 1);
+}
