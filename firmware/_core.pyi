@@ -305,6 +305,10 @@ class DeviceSettings:
     monitor: MonitorSettings
     home: HomeSettings
     sync: SyncSettings
+    peer_key: bytes
+    neighbours: int
+    ask_us: int
+    peer_least_us: int
     @property
     def valid(self) -> bool: ...
     def __init__(self) -> None: ...
@@ -384,6 +388,7 @@ class SyncSettings:
     """How a clock is synchronized, see sync.h."""
 
     method: int
+    among_boards: bool
     drift_ppm: int
     wander_ppb_s: int
     to_device_least_us: int
@@ -413,8 +418,17 @@ class Sync:
     @property
     def error_us(self) -> int: ...
     def restart(self) -> None: ...
-    def take(self, stamps_us: tuple[int, int, int], arrived_us: int, now_us: int) -> bool:
-        """Takes (echo, received, sent) that arrived at a count; False if they are excluded."""
+    def take(
+        self,
+        stamps_us: tuple[int, int, int],
+        arrived_us: int,
+        now_us: int,
+        may_step: bool,
+        least_error_ns: int = 0,
+        most_error_ns: int = 0,
+    ) -> bool:
+        """Takes (echo, received, sent) that arrived at a count, of a clock that may itself err;
+        False if they are not taken."""
 
     def steer(self, count_us: int, may_step: bool) -> bool:
         """Advances and steers the clock; True if it stepped."""

@@ -39,7 +39,7 @@ void admit_hello(struct device *device, struct board *board, const uint8_t *fram
         return;
     uint8_t welcome[HANDSHAKE_BYTES], packet[COBS_BOUND(HANDSHAKE_BYTES)];
     welcome_encode(device->settings.key, &offer->nonces, welcome);
-    board_send(board, packet, cobs_encode(welcome, HANDSHAKE_BYTES, packet));
+    board_send(board, BOARD_HOST, packet, cobs_encode(welcome, HANDSHAKE_BYTES, packet));
 }
 
 // Another host, or the same one anew: it counts from the start, and its time may be another one. At

@@ -32,10 +32,15 @@ bool board_index(struct board *board, int32_t *count);
 int32_t board_supply_mV(const struct board *board);
 void board_set_chopper(struct board *board, bool on); // burns what the motor feeds back
 
-// The next received packet (COBS, without the ending zero) and the count at which it arrived, as
-// its interrupt stamped it. Returns its size, 0 if there is none.
-int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, uint32_t *count_us);
-void board_send(struct board *board, const uint8_t *bytes, int32_t size);
+// Ports: the host's, and those of the boards beside this one, as many as it has.
+#define BOARD_HOST 0
+#define BOARD_PORTS 5
+
+// The next received packet (COBS, without the ending zero), the port, and the count at which it
+// arrived, as its interrupt stamped it. Returns its size, 0 if there is none.
+int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, int32_t *port,
+                      uint32_t *count_us);
+void board_send(struct board *board, int32_t port, const uint8_t *bytes, int32_t size);
 
 // Non-volatile memory. `board_load` returns the size, 0 if nothing was saved. A save that the power
 // cuts short may leave anything in its own record, and changes no other.

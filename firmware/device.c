@@ -28,6 +28,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us) 
     bool counted = store_count_boot(board, &device->boots);
     store_load_faults(board, &device->faults);
     device->clock.count_us = count_us;
+    device->sync.id = (uint32_t)board_random(board) | 1; // not 0
     sync_restart(&device->sync);
     device->next_servo_us = count_us;
     device->offer.answered_us = count_us - OFFER_PAUSE_US;
@@ -49,6 +50,13 @@ int64_t device_knot_at(const struct device *device, int64_t time_us) {
 bool device_at_rest(const struct device *device) {
     int32_t speed_pq = monitor_speed_pq(&device->monitor);
     return speed_pq < DEVICE_REST_PQ && speed_pq > -DEVICE_REST_PQ;
+}
+
+void device_take_stamps(struct device *device, const struct sync_source *source,
+                        const struct stamps *stamps, uint32_t arrived_us, uint32_t count_us) {
+    bool may_step = device->state == DEVICE_UNSYNCED;
+    sync_take(&device->sync, &device->settings.sync, &device->clock, source, stamps, arrived_us,
+              count_us, may_step);
 }
 
 static void measure(struct device *device, const struct board *board, int64_t time_us) {
@@ -140,6 +148,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     follow(device, board, count_us);
     drive(device, board, time_us, count_us);
     admit_advance(device, count_us);
+    neighbours_ask(device, board, count_us);
     if (device_knot_at(device, time_us) != device->status_knot) {
         device->status_knot = device_knot_at(device, time_us);
         outbox_status(device, board, count_us);
@@ -155,9 +164,9 @@ void device_poll(struct device *device, struct board *board) {
     }
     uint8_t packet[COBS_BOUND(FRAME_MAX)];
     uint32_t arrived_us;
-    int32_t size;
-    while ((size = board_receive(board, packet, sizeof packet, &arrived_us)) > 0)
-        inbox_take(device, board, packet, size, arrived_us, board_count_us(board));
+    int32_t size, port;
+    while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
+        inbox_take(device, board, packet, size, port, arrived_us, board_count_us(board));
     uint32_t count_us = board_count_us(board);
     int32_t late_us = (int32_t)(count_us - device->next_servo_us);
     if (late_us >= 0) {

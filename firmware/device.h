@@ -13,6 +13,7 @@
 #include "history.h"
 #include "home.h"
 #include "monitor.h"
+#include "neighbours.h"
 #include "offer.h"
 #include "plan.h"
 #include "ramp.h"
@@ -37,7 +38,8 @@ struct device {
     struct offer offer;
     struct headway_clock clock;
     struct sync sync;
-    uint32_t heard_count_us; // at which the last stamps arrived
+    uint32_t heard_count_us; // at which the host's last stamps arrived
+    struct neighbours neighbours;
     struct track tracks[TRACK_COUNT];
     struct setpoint setpoint; // of the last one: position, velocity and torque
     struct servo servo;
@@ -77,6 +79,10 @@ void device_poll(struct device *device, struct board *board);
 
 // The axis' position, from the encoder's last count and the offset.
 void device_locate(struct device *device);
+
+// Samples of the clock, from wherever. Only in UNSYNCED may they step it.
+void device_take_stamps(struct device *device, const struct sync_source *source,
+                        const struct stamps *stamps, uint32_t arrived_us, uint32_t count_us);
 
 int64_t device_knot_at(const struct device *device, int64_t time_us);
 bool device_at_rest(const struct device *device);

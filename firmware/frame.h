@@ -5,7 +5,8 @@
 //
 // The tag covers the direction and everything before it, and each direction has a key of its own, so
 // a frame cannot be reflected to its sender. All numbers are little-endian. On a byte stream a frame
-// is COBS-encoded and ended by zero. HELLO and WELCOME alone are made otherwise (handshake.h).
+// is COBS-encoded and ended by zero. HELLO and WELCOME are made otherwise (handshake.h),
+// and what neighbours say to each other (peer.h).
 #ifndef HEADWAY_FRAME_H
 #define HEADWAY_FRAME_H
 
@@ -29,8 +30,10 @@ enum frame_type {
     FRAME_FAULTS, // the fault log, on demand
     FRAME_HELLO,
     FRAME_WELCOME,
-    FRAME_GROUP,    // the key of a machine's group, see group.h
-    FRAME_SETTINGS, // from the host: new ones, or none to ask; from the device: its own
+    FRAME_GROUP,          // the key of a machine's group, see group.h
+    FRAME_SETTINGS,       // from the host: new ones, or none to ask; from the device: its own
+    FRAME_STAMP_REQUEST,  // between neighbours, see peer.h
+    FRAME_STAMP_RESPONSE, //
 };
 enum frame_error {
     FRAME_OK,
@@ -42,7 +45,7 @@ enum frame_error {
 };
 
 // What a session key hashes begins with one of these: no hash can stand for another kind's.
-enum frame_prefix { TO_DEVICE, TO_HOST, GROUP_PAD_LOW, GROUP_PAD_HIGH };
+enum frame_prefix { TO_DEVICE, TO_HOST, GROUP_PAD_LOW, GROUP_PAD_HIGH, PEER };
 
 // One end of a session. Counters only go up, and never again from the start.
 struct session {

@@ -110,16 +110,14 @@ static void take_plan(struct device *device, uint32_t count_us, int64_t sent_us)
         counters->plans_refused++;
 }
 
-// Samples of the clock. The first one steps it, in the one state that allows this.
 static void take_stamps(struct device *device, const struct stamps *stamps, uint32_t arrived_us,
                         uint32_t count_us) {
-    if (!device->sync.begun && device->state != DEVICE_UNSYNCED)
-        return;
+    const struct sync_settings *settings = &device->settings.sync;
+    struct sync_source host = sync_host(settings);
     device->status.heard_us = stamps->sent_us;
     device->heard_count_us = arrived_us;
-    if (!sync_take(&device->sync, &device->settings.sync, &device->clock, stamps, arrived_us,
-                   count_us))
-        device->status.counters.stamps_excluded++;
+    if (!settings->among_boards)
+        device_take_stamps(device, &host, stamps, arrived_us, count_us);
 }
 
 // New settings; the key stays. The device answers with those that it has then.
@@ -194,8 +192,13 @@ static bool take_group_frame(struct device *device, const struct board *board, c
 
 // The clock's sample is as old as the packet's arrival; what is live is judged now.
 void inbox_take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                uint32_t arrived_us, uint32_t count_us) {
+                int32_t port, uint32_t arrived_us, uint32_t count_us) {
     size = cobs_decode(packet, size);
+    if (port != BOARD_HOST) {
+        if (!neighbours_take(device, board, packet, size, port, arrived_us, count_us))
+            device->status.counters.frames_bad++;
+        return;
+    }
     if (size > 1 && packet[1] == FRAME_HELLO) {
         admit_hello(device, board, packet, size, count_us);
         return;

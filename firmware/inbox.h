@@ -6,6 +6,6 @@
 
 // Takes a packet that arrived at a count; `count_us` is now. The packet is decoded in place.
 void inbox_take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                uint32_t arrived_us, uint32_t count_us);
+                int32_t port, uint32_t arrived_us, uint32_t count_us);
 
 #endif

@@ -406,6 +406,7 @@ static void bind_settings(nb::module_ &m) {
     nb::class_<sync_settings>(m, "SyncSettings")
         .def(nb::init<>())
         .def_rw("method", &sync_settings::method)
+        .def_rw("among_boards", &sync_settings::among_boards)
         .def_rw("drift_ppm", &sync_settings::drift_ppm)
         .def_rw("wander_ppb_s", &sync_settings::wander_ppb_s)
         .def_rw("to_device_least_us", &sync_settings::to_device_least_us)
@@ -441,6 +442,12 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("monitor", &device_settings::monitor)
         .def_rw("home", &device_settings::home)
         .def_rw("sync", &device_settings::sync)
+        .def_prop_rw(
+            "peer_key", [](device_settings &s) { return key_bytes(s.peer_key); },
+            [](device_settings &s, nb::bytes key) { copy_key(s.peer_key, key); })
+        .def_rw("neighbours", &device_settings::neighbours)
+        .def_rw("ask_us", &device_settings::ask_us)
+        .def_rw("peer_least_us", &device_settings::peer_least_us)
         .def_prop_ro("valid", [](const device_settings &s) { return settings_valid(&s); })
         .def(
             "encode",
@@ -617,8 +624,9 @@ static nb::tuple follow(synced_clock &s, Counts count_us, Counts arrived_us, Cou
         clock_advance(&s.clock, count_us.data()[i]);
         if (sent_us.data()[i] != 0) {
             stamps st{echo_us.data()[i], received_us.data()[i], sent_us.data()[i]};
-            sync_take(&s.sync, &s.settings, &s.clock, &st, arrived_us.data()[i],
-                      count_us.data()[i]);
+            sync_source host = sync_host(&s.settings);
+            sync_take(&s.sync, &s.settings, &s.clock, &host, &st, arrived_us.data()[i],
+                      count_us.data()[i], may_step && !s.sync.settled);
         }
         sync_steer(&s.sync, &s.settings, &s.clock, may_step && !s.sync.settled);
         system_us[i] = s.clock.system_us;
@@ -653,11 +661,17 @@ static void bind_sync(nb::module_ &m) {
         .def("restart", [](synced_clock &s) { sync_restart(&s.sync); })
         .def(
             "take",
-            [](synced_clock &s, Stamps stamps_us, uint32_t arrived_us, uint32_t now_us) {
+            [](synced_clock &s, Stamps stamps_us, uint32_t arrived_us, uint32_t now_us,
+               bool may_step, int32_t least_error_ns, int32_t most_error_ns) {
                 stamps st = make_stamps(stamps_us);
-                return sync_take(&s.sync, &s.settings, &s.clock, &st, arrived_us, now_us);
+                sync_source source = sync_host(&s.settings);
+                source.least_error_ns = least_error_ns;
+                source.most_error_ns = most_error_ns;
+                return sync_take(&s.sync, &s.settings, &s.clock, &source, &st, arrived_us, now_us,
+                                 may_step);
             },
-            "stamps_us"_a, "arrived_us"_a, "now_us"_a)
+            "stamps_us"_a, "arrived_us"_a, "now_us"_a, "may_step"_a, "least_error_ns"_a = 0,
+            "most_error_ns"_a = 0)
         .def(
             "steer",
             [](synced_clock &s, uint32_t count_us, bool may_step) {

@@ -7,7 +7,7 @@ void outbox_send(struct device *device, struct board *board, enum frame_type typ
     uint8_t packet[COBS_BOUND(FRAME_MAX)];
     int32_t size = payload_size < 0 ? -1 : frame_seal(&device->session, type, frame, payload_size);
     if (size > 0)
-        board_send(board, packet, cobs_encode(frame, size, packet));
+        board_send(board, BOARD_HOST, packet, cobs_encode(frame, size, packet));
 }
 
 void outbox_status(struct device *device, struct board *board, uint32_t count_us) {
@@ -22,6 +22,7 @@ void outbox_status(struct device *device, struct board *board, uint32_t count_us
     status->most_error_ns = device->sync.most_error_ns;
     status->rate_q32 = device->clock.rate_q32;
     status->heard_age_us = count_us - device->heard_count_us;
+    status->counters.stamps_excluded = device->sync.excluded;
     status->synced = device->sync.settled;
     status->grouped = device->group.begun;
     status->holding_tq = held_torque(device);

@@ -1,4 +1,5 @@
 #include "settings.h"
+#include "board.h" // ports
 #include "fields.h"
 
 static bool scale_valid(struct scale scale) { return scale.shift < 32; }
@@ -35,6 +36,13 @@ static bool sync_valid(const struct sync_settings *sync) {
            sync->to_host_least_us <= SYNC_LIMIT_MAX_US;
 }
 
+// The host's port has no neighbour.
+static bool neighbours_valid(const struct device_settings *settings) {
+    bool apart = !(settings->neighbours & 1) && settings->neighbours >> BOARD_PORTS == 0;
+    return apart && settings->peer_least_us <= SYNC_LIMIT_MAX_US && settings->ask_us <= 10000000 &&
+           (settings->neighbours == 0 || settings->ask_us >= 1000);
+}
+
 bool settings_valid(const struct device_settings *settings) {
     for (int32_t sink = 0; sink < TRACK_COUNT; sink++) {
         const struct gate_limits *limits = &settings->limits[sink];
@@ -52,7 +60,7 @@ bool settings_valid(const struct device_settings *settings) {
            settings->torque_step_tq > 0 && scale_valid(settings->knot_periods) &&
            settings->name[SETTINGS_NAME_MAX] == 0 && servo_valid(&settings->servo) &&
            monitor_valid(&settings->monitor) && home_valid(&settings->home) &&
-           sync_valid(&settings->sync);
+           sync_valid(&settings->sync) && neighbours_valid(settings);
 }
 
 static void visit_limits(struct fields *f, struct gate_limits *limits) {
@@ -112,6 +120,7 @@ static void visit_home(struct fields *f, struct home_settings *home) {
 
 static void visit_sync(struct fields *f, struct sync_settings *sync) {
     field_u8(f, &sync->method);
+    field_bool(f, &sync->among_boards);
     field_u16(f, &sync->drift_ppm);
     field_u16(f, &sync->wander_ppb_s);
     field_u32(f, &sync->to_device_least_us);
@@ -122,12 +131,17 @@ static void visit_sync(struct fields *f, struct sync_settings *sync) {
     field_u16(f, &sync->average.skew_gain_q8);
 }
 
+static void visit_keys(struct fields *f, struct device_settings *settings) {
+    field_bytes(f, settings->key, SIPHASH_KEY_BYTES);
+    field_bytes(f, settings->peer_key, SIPHASH_KEY_BYTES);
+}
+
 static void visit(struct fields *f, struct device_settings *settings, bool with_key) {
     uint8_t format = SETTINGS_FORMAT;
     field_u8(f, &format);
     f->failed |= format != SETTINGS_FORMAT;
     if (with_key)
-        field_bytes(f, settings->key, SIPHASH_KEY_BYTES);
+        visit_keys(f, settings);
     field_bytes(f, (uint8_t *)settings->name, sizeof settings->name);
     field_u8(f, &settings->knot_shift);
     field_u16(f, &settings->servo_period_us);
@@ -146,6 +160,9 @@ static void visit(struct fields *f, struct device_settings *settings, bool with_
     visit_monitor(f, &settings->monitor);
     visit_home(f, &settings->home);
     visit_sync(f, &settings->sync);
+    field_u8(f, &settings->neighbours);
+    field_u32(f, &settings->ask_us);
+    field_u32(f, &settings->peer_least_us);
 }
 
 int32_t settings_encode(const struct device_settings *settings, bool with_key, uint8_t *bytes,

@@ -33,6 +33,10 @@ struct device_settings {
     struct monitor_settings monitor;
     struct home_settings home;
     struct sync_settings sync;
+    uint8_t peer_key[SIPHASH_KEY_BYTES]; // of the boards among themselves; comes as `key` does
+    uint8_t neighbours;                  // bit p: another board is at port p
+    uint32_t ask_us;                     // how often they are asked for their time
+    uint32_t peer_least_us;              // no frame takes less time between them
 };
 
 // Whether every number is within what the arithmetic and the promises rely on.

@@ -6,6 +6,8 @@
 #define STEER_SHIFT 1         // an offset fades with a time constant of 2^17 us
 #define STEER_MAX_Q32 1288490 // and is slewed in at 300 ppm at most
 #define STEP_Q16 (8 << 16)    // a clock that may step does so beyond it
+#define FAR_US (1LL << 40)    // offsets beyond it are as wrong as any
+#define NANOSECOND_Q16 66     // of a microsecond, rounded up
 
 static struct bounds_limits limits_of(const struct sync_settings *settings) {
     // 2^32 / 10^6 and 2^64 / 10^15, rounded up.
@@ -13,91 +15,164 @@ static struct bounds_limits limits_of(const struct sync_settings *settings) {
     return limits;
 }
 
-void sync_restart(struct sync *sync) {
-    memset(sync, 0, sizeof *sync);
-    sync->least_error_ns = -INT32_MAX;
-    sync->most_error_ns = INT32_MAX;
+struct sync_source sync_host(const struct sync_settings *settings) {
+    struct sync_source host = {.to_here_least_us = settings->to_device_least_us,
+                               .to_there_least_us = settings->to_host_least_us};
+    return host;
 }
 
-static void begin(struct sync *sync, const struct bounds_limits *limits,
-                  struct headway_clock *clock, int64_t remote_us, int64_t ticks_us) {
-    uint32_t excluded = sync->excluded;
-    sync_restart(sync);
+void sync_restart(struct sync *sync) {
+    uint32_t id = sync->id, excluded = sync->excluded;
+    memset(sync, 0, sizeof *sync);
+    sync->id = id;
     sync->excluded = excluded;
+    sync->least_error_ns = -SYNC_ERROR_OPEN;
+    sync->most_error_ns = SYNC_ERROR_OPEN;
+}
+
+static void begin(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock, uint32_t lineage, int64_t base_us) {
+    struct bounds_limits limits = limits_of(settings);
+    sync_restart(sync);
     sync->begun = true;
-    sync->wide_us = sync->average.began_us = ticks_us;
-    bounds_clear(&sync->bounds, limits, remote_us - ticks_us, ticks_us);
+    sync->lineage = lineage;
+    sync->wide_us = sync->heard_us = sync->average.began_us = clock->ticks_us;
+    bounds_clear(&sync->bounds, &limits, base_us, clock->ticks_us);
+}
+
+// Whether the time is its own: nobody is followed.
+static bool is_reference(const struct sync *sync) {
+    return sync->id != 0 && sync->lineage == sync->id;
+}
+
+// How far the other clock is ahead of the own one, as two stamps prove it. Of two readings that are
+// rounded down, one may be a microsecond more.
+struct ahead {
+    int64_t least_us, most_us;
+};
+
+static struct ahead ahead_of(const struct headway_clock *clock, const struct sync_source *source,
+                             const struct stamps *stamps, uint32_t arrived_us) {
+    struct ahead ahead = {stamps->sent_us - clock_at(clock, arrived_us) - STAMP_US +
+                              source->to_here_least_us,
+                          stamps->received_us - clock_at(clock, stamps->echo_us) + STAMP_US -
+                              source->to_there_least_us};
+    return ahead;
+}
+
+// Follows the source from now on, if there is nobody yet or if it is to be joined.
+static void join(struct sync *sync, const struct sync_settings *settings,
+                 struct headway_clock *clock, const struct sync_source *source,
+                 const struct stamps *stamps, uint32_t arrived_us) {
+    struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);
+    struct lineage own = {sync->lineage, sync->settled};
+    if (sync->begun && !(settings->among_boards &&
+                         lineage_joins(own, source->lineage, ahead.least_us, ahead.most_us)))
+        return;
+    begin(sync, settings, clock, source->lineage.id,
+          stamps->sent_us - clock_ticks(clock, arrived_us));
     clock_set(clock, sync->bounds.base_us, 0);
 }
 
-bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
-               const struct stamps *stamps, uint32_t arrived_us, uint32_t now_count_us) {
-    struct bounds_limits limits = limits_of(settings);
+static int64_t near_q16(int64_t offset_us) {
+    int64_t clamped = offset_us > FAR_US ? FAR_US : offset_us < -FAR_US ? -FAR_US : offset_us;
+    return clamped * (1 << 16);
+}
+
+// What the other clock shows as s was at s minus its error.
+static bool prove(struct sync *sync, const struct bounds_limits *limits,
+                  const struct headway_clock *clock, const struct sync_source *source,
+                  const struct stamps *stamps, uint32_t arrived_us) {
     struct bounds *bounds = &sync->bounds;
-    int64_t now_us = clock_ticks(clock, now_count_us);
     int64_t arrived = clock_ticks(clock, arrived_us), echo = clock_ticks(clock, stamps->echo_us);
-    if (!sync->begun)
-        begin(sync, &limits, clock, stamps->sent_us, arrived);
-    bool echoes = stamps->received_us != 0 && echo <= arrived;
-    bounds_advance(bounds, &limits, now_us);
-    // Of two readings that are rounded down, one may be a microsecond more.
     int64_t lower_us =
-        stamps->sent_us - arrived - bounds->base_us - STAMP_US + settings->to_device_least_us;
+        stamps->sent_us - arrived - bounds->base_us - STAMP_US + source->to_here_least_us;
     int64_t upper_us =
-        stamps->received_us - echo - bounds->base_us + STAMP_US - settings->to_host_least_us;
-    bool taken = bounds_prove(bounds, &limits, false, lower_us * (1 << 16), arrived) &&
-                 (!echoes || bounds_prove(bounds, &limits, true, upper_us * (1 << 16), echo));
-    if (!taken) {
+        stamps->received_us - echo - bounds->base_us + STAMP_US - source->to_there_least_us;
+    int64_t most_q16 = (int64_t)source->most_error_ns * (1 << 16) / 1000 + 1; // rounded away
+    int64_t least_q16 = (int64_t)source->least_error_ns * (1 << 16) / 1000 - 1;
+    return bounds_prove(bounds, limits, false, near_q16(lower_us) - most_q16, arrived) &&
+           (stamps->received_us == 0 || echo > arrived ||
+            bounds_prove(bounds, limits, true, near_q16(upper_us) - least_q16, echo));
+}
+
+bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
+               const struct sync_source *source, const struct stamps *stamps, uint32_t arrived_us,
+               uint32_t now_count_us, bool may_step) {
+    struct bounds_limits limits = limits_of(settings);
+    if (source->least_error_ns == -SYNC_ERROR_OPEN || source->most_error_ns == SYNC_ERROR_OPEN)
+        return false; // it does not know the time itself
+    if (may_step)
+        join(sync, settings, clock, source, stamps, arrived_us);
+    if (!sync->begun || is_reference(sync))
+        return false;
+    bool same = !settings->among_boards || source->lineage.id == sync->lineage;
+    bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    if (!same || !prove(sync, &limits, clock, source, stamps, arrived_us)) {
         sync->excluded++;
         sync->outcast++;
         return false;
     }
     sync->outcast = 0;
-    sync->heard_us = now_us;
-    if (echoes) {
-        int64_t ahead_us = (stamps->received_us - clock_at(clock, stamps->echo_us)) +
-                           (stamps->sent_us - clock_at(clock, arrived_us));
-        average_take(&sync->average, ahead_us / 2);
-    }
+    sync->heard_us = clock_ticks(clock, now_count_us);
+    struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);
+    if (stamps->received_us != 0)
+        average_take(&sync->average, (ahead.least_us + ahead.most_us) / 2);
     return true;
 }
 
 static int32_t nanoseconds(int64_t offset_q16) {
     if (offset_q16 >= 1LL << 36 || offset_q16 <= -(1LL << 36))
-        return offset_q16 > 0 ? INT32_MAX : -INT32_MAX;
-    return fixed_clamp64((offset_q16 * 1000) >> 16, INT32_MAX);
+        return offset_q16 > 0 ? SYNC_ERROR_OPEN : -SYNC_ERROR_OPEN;
+    return fixed_clamp64((offset_q16 * 1000) >> 16, SYNC_ERROR_OPEN);
 }
 
-static void steer_to_middle(const struct sync *sync, struct headway_clock *clock,
-                            int64_t behind_q16) {
+static void set_rate(struct sync *sync, const struct sync_settings *settings,
+                     struct headway_clock *clock, int64_t behind_q16) {
+    if (settings->method == SYNC_AVERAGE && sync->settled) {
+        average_rate(&sync->average, &settings->average, clock->ticks_us,
+                     limits_of(settings).drift_q32, &clock->rate_q32);
+        return;
+    }
     int32_t steer_q32 = fixed_clamp64(behind_q16 >> STEER_SHIFT, STEER_MAX_Q32);
     clock->rate_q32 = fixed_clamp(bounds_skew_q32(&sync->bounds) + steer_q32, CLOCK_RATE_MAX_Q32);
+}
+
+// To the middle of what is proven; returns whether that was a step.
+static bool follow(struct sync *sync, const struct sync_settings *settings,
+                   struct headway_clock *clock, bool may_step) {
+    const struct bounds *bounds = &sync->bounds;
+    int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
+    int64_t behind_q16 = bounds_middle_q16(bounds) - offset_q16;
+    bool steps = may_step && (behind_q16 > STEP_Q16 || behind_q16 < -STEP_Q16);
+    if (steps) {
+        offset_q16 += behind_q16;
+        behind_q16 = 0;
+        clock_set(clock, bounds->base_us, offset_q16);
+    }
+    set_rate(sync, settings, clock, behind_q16);
+    sync->least_error_ns = nanoseconds(offset_q16 - bounds_upper_q16(bounds));
+    sync->most_error_ns = nanoseconds(offset_q16 - bounds_lower_q16(bounds) + NANOSECOND_Q16);
+    return steps;
 }
 
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step) {
     struct bounds_limits limits = limits_of(settings);
-    struct bounds *bounds = &sync->bounds;
+    if (!sync->begun && settings->among_boards && may_step) // the own time, until there is better
+        begin(sync, settings, clock, sync->id, clock->system_us - clock->ticks_us);
     if (!sync->begun)
         return false;
-    bounds_advance(bounds, &limits, clock->ticks_us);
-    if (!bounds_closed(bounds))
-        return false;
-    int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
-    int64_t behind_q16 = bounds_middle_q16(bounds) - offset_q16;
-    bool steps = may_step && (behind_q16 > STEP_Q16 || behind_q16 < -STEP_Q16);
-    if (steps) {
-        offset_q16 = bounds_middle_q16(bounds);
-        clock_set(clock, bounds->base_us, offset_q16);
-        behind_q16 = 0;
+    bool steps = false;
+    if (is_reference(sync)) {
+        sync->heard_us = clock->ticks_us;
+        sync->least_error_ns = sync->most_error_ns = 0;
+        clock->rate_q32 = 0;
+    } else {
+        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
+        if (bounds_closed(&sync->bounds))
+            steps = follow(sync, settings, clock, may_step);
     }
-    if (settings->method == SYNC_BOUNDS || !sync->settled)
-        steer_to_middle(sync, clock, behind_q16);
-    else
-        average_rate(&sync->average, &settings->average, clock->ticks_us, limits.drift_q32,
-                     &clock->rate_q32);
-    sync->least_error_ns = nanoseconds(offset_q16 - bounds_upper_q16(bounds));
-    sync->most_error_ns = nanoseconds(offset_q16 - bounds_lower_q16(bounds) + 65);
     if (sync_error_us(sync) > (int32_t)settings->limit_us)
         sync->wide_us = clock->ticks_us;
     sync->settled = clock->ticks_us - sync->wide_us >= SYNC_SETTLE_US;
@@ -107,5 +182,5 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
 int32_t sync_error_us(const struct sync *sync) {
     int32_t least = -sync->least_error_ns, most = sync->most_error_ns;
     int32_t worst = least > most ? least : most;
-    return worst == INT32_MAX ? INT32_MAX : worst / 1000 + 1;
+    return worst == SYNC_ERROR_OPEN ? SYNC_ERROR_OPEN : worst / 1000 + (worst % 1000 != 0);
 }

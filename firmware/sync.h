@@ -1,21 +1,28 @@
 // Synchronization: stamps in, a disciplined clock out, and how far it may be off.
 //
 // What stamps prove is in bounds.h. The clock is steered to the middle of the set that they leave,
-// and the interval of its possible error is what is left to either side. Whoever lies about his time
-// contradicts the set, and is excluded.
+// and the interval of its possible error is what is left to either side. Stamps of a neighbour that
+// may itself be off prove as much less. Whoever lies about his time contradicts the set, and is
+// excluded.
+//
+// Whose time it is: the host's, which is followed and not moved; or, of boards among themselves, that
+// of the oldest. Each begins with its own time, and joins whoever is found to be further on, or has
+// settled before it, while it may still step (lineage.h).
 #ifndef HEADWAY_SYNC_H
 #define HEADWAY_SYNC_H
 
 #include "average.h"
 #include "bounds.h"
 #include "clock.h"
+#include "lineage.h"
 #include "stamps.h"
 
 #define SYNC_SETTLE_US 1000000 // for so long the error is within its limit before the clock is used
 #define SYNC_DRIFT_MAX_PPM 300
 #define SYNC_WANDER_MAX_PPB_S 60000
 #define SYNC_LIMIT_MAX_US 1000000
-#define SYNC_OUTCAST 64 // samples excluded in a row: then it is us who are wrong
+#define SYNC_OUTCAST 64           // samples excluded in a row: then it is us who are wrong
+#define SYNC_ERROR_OPEN INT32_MAX // of an error: not known
 
 enum sync_method {
     SYNC_BOUNDS,  // to the middle of what the stamps allow
@@ -25,12 +32,20 @@ enum sync_method {
 
 struct sync_settings {
     uint8_t method;              // enum sync_method
+    bool among_boards;           // there is no host's time to follow
     uint16_t drift_ppm;          // of the own oscillator against the other clock, at most
     uint16_t wander_ppb_s;       // change of that drift, at most, per second
-    uint32_t to_device_least_us; // no frame takes less time to get here ...
+    uint32_t to_device_least_us; // no frame of the host takes less time to get here ...
     uint32_t to_host_least_us;   // ... and none of ours to get there
     uint32_t limit_us;           // largest error with which the axis may move
     struct average_settings average;
+};
+
+// Where a sample is from.
+struct sync_source {
+    uint32_t to_here_least_us, to_there_least_us; // least delays
+    int32_t least_error_ns, most_error_ns;        // of its clock; of the host's both are 0
+    struct lineage lineage;                       // not looked at of the host's
 };
 
 struct sync {
@@ -41,23 +56,30 @@ struct sync {
     uint32_t excluded; // samples that contradicted the set, ever
     uint32_t outcast;  // and in a row
     int32_t least_error_ns, most_error_ns; // own clock minus the other one; at the ends: unknown
+    uint32_t id;                           // of this board; 0: it is none among boards
+    uint32_t lineage;                      // whose time it is, among boards
     struct bounds bounds;
     struct average average;
 };
 
-// Forgets everything: the next sample begins anew.
+// Forgets everything but who it is and what it has counted: the next sample begins anew.
 void sync_restart(struct sync *sync);
 
-// A frame with stamps that arrived at a count, not later than `now_count_us`. A clock that may not
-// step is then only slewed. Returns whether the sample was taken.
+// Stamps that arrived at a count, not later than `now_count_us`. The first ones, and among boards
+// those of somebody to join, step the clock: where it may not, they are not taken. Returns whether
+// they were taken.
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
-               const struct stamps *stamps, uint32_t arrived_us, uint32_t now_count_us);
+               const struct sync_source *source, const struct stamps *stamps, uint32_t arrived_us,
+               uint32_t now_count_us, bool may_step);
 
 // To be called after each clock_advance, at least every second. Returns whether the clock stepped.
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
 
-// The error's bound, either way, in us; INT32_MAX: none.
+// The error's bound, either way, in us; SYNC_ERROR_OPEN: none.
 int32_t sync_error_us(const struct sync *sync);
+
+// The host as a source.
+struct sync_source sync_host(const struct sync_settings *settings);
 
 #endif

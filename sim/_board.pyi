@@ -29,8 +29,8 @@ class Node:
     def break_encoder(self, defect: int, since_us: int) -> None:
         """0: good, 1: stuck, 2: reversed, 3: jumped, from a true time on."""
 
-    def deliver(self, arrival_us: int, packet: bytes) -> bool: ...
-    def collect(self) -> list[tuple[int, bytes]]:
+    def deliver(self, arrival_us: int, packet: bytes, port: int = 0) -> bool: ...
+    def collect(self, port: int = 0) -> list[tuple[int, bytes]]:
         """Sent packets with the times at which they left."""
 
     def setpoint(self, time_us: int) -> tuple[int, int, int]:

@@ -95,8 +95,8 @@ void board_set_encoder(struct board *board, int32_t count) {
     board->encoder_count = count - board->encoder_offset;
 }
 
-static bool fill(struct parcel *parcels, int32_t count, int64_t time_us, const uint8_t *bytes,
-                 int32_t size) {
+static bool fill(struct parcel *parcels, int32_t count, int32_t port, int64_t time_us,
+                 const uint8_t *bytes, int32_t size) {
     for (int32_t i = 0; i < count; i++) {
         if (parcels[i].size != 0)
             continue;
@@ -104,19 +104,22 @@ static bool fill(struct parcel *parcels, int32_t count, int64_t time_us, const u
             return false;
         parcels[i].time_us = time_us;
         parcels[i].size = size;
+        parcels[i].port = port;
         memcpy(parcels[i].bytes, bytes, (size_t)size);
         return true;
     }
     return false;
 }
 
-bool board_deliver(struct board *board, int64_t arrival_us, const uint8_t *bytes, int32_t size) {
-    bool taken = fill(board->inbox, BOARD_INBOX, arrival_us, bytes, size);
+bool board_deliver(struct board *board, int32_t port, int64_t arrival_us, const uint8_t *bytes,
+                   int32_t size) {
+    bool taken = fill(board->inbox, BOARD_INBOX, port, arrival_us, bytes, size);
     board->dropped += !taken;
     return taken;
 }
 
-int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, uint32_t *count_us) {
+int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, int32_t *port,
+                      uint32_t *count_us) {
     struct parcel *next = 0; // the earliest that has arrived
     for (int32_t i = 0; i < BOARD_INBOX; i++) {
         struct parcel *parcel = &board->inbox[i];
@@ -131,10 +134,11 @@ int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, uin
     if (size > capacity)
         return 0;
     memcpy(bytes, next->bytes, (size_t)size);
+    *port = next->port;
     *count_us = board_count_at(board, next->time_us);
     return size;
 }
 
-void board_send(struct board *board, const uint8_t *bytes, int32_t size) {
-    board->dropped += !fill(board->outbox, BOARD_OUTBOX, board->true_us, bytes, size);
+void board_send(struct board *board, int32_t port, const uint8_t *bytes, int32_t size) {
+    board->dropped += !fill(board->outbox, BOARD_OUTBOX, port, board->true_us, bytes, size);
 }

@@ -13,6 +13,7 @@
 struct parcel {
     int64_t time_us; // arrival or departure, true time
     int32_t size;    // 0: empty
+    int32_t port;
     uint8_t bytes[BOARD_PACKET_MAX];
 };
 
@@ -77,6 +78,7 @@ struct node {
 uint32_t board_count_at(const struct board *board, int64_t true_us);
 
 // Puts a packet into the inbox, to arrive at a true time; false if it is full or too long.
-bool board_deliver(struct board *board, int64_t arrival_us, const uint8_t *bytes, int32_t size);
+bool board_deliver(struct board *board, int32_t port, int64_t arrival_us, const uint8_t *bytes,
+                   int32_t size);
 
 #endif

@@ -71,16 +71,24 @@ static void break_encoder(Node &n, int32_t defect, int64_t since_us) {
     n->board.encoder_fault = encoder_fault{defect, since_us, 0, false};
 }
 
-static bool deliver(Node &n, int64_t arrival_us, nb::bytes packet) {
-    return board_deliver(&n->board, arrival_us, reinterpret_cast<const uint8_t *>(packet.c_str()),
-                         (int32_t)packet.size());
+static int32_t checked_port(int32_t port) {
+    if (port < 0 || port >= BOARD_PORTS)
+        throw std::invalid_argument("no such port");
+    return port;
 }
 
-static std::vector<std::tuple<int64_t, nb::bytes>> collect(Node &n) {
+static bool deliver(Node &n, int64_t arrival_us, nb::bytes packet, int32_t port) {
+    return board_deliver(&n->board, checked_port(port), arrival_us,
+                         reinterpret_cast<const uint8_t *>(packet.c_str()), (int32_t)packet.size());
+}
+
+static std::vector<std::tuple<int64_t, nb::bytes>> collect(Node &n, int32_t port) {
+    checked_port(port);
     std::vector<std::tuple<int64_t, nb::bytes>> packets;
     for (parcel &p : n->board.outbox) {
-        if (p.size > 0)
-            packets.emplace_back(p.time_us, nb::bytes((const char *)p.bytes, (size_t)p.size));
+        if (p.size == 0 || p.port != port)
+            continue;
+        packets.emplace_back(p.time_us, nb::bytes((const char *)p.bytes, (size_t)p.size));
         p.size = 0;
     }
     return packets;
@@ -119,8 +127,8 @@ NB_MODULE(_board, m) {
         .def("set_memory", &set_memory, "record"_a, "bytes"_a)
         .def("break_encoder", &break_encoder, "defect"_a, "since_us"_a)
         .def("flash", &flash, "settings"_a, "count_offset"_a = 0, "drift_ppb"_a = 0)
-        .def("deliver", &deliver, "arrival_us"_a, "packet"_a)
-        .def("collect", &collect)
+        .def("deliver", &deliver, "arrival_us"_a, "packet"_a, "port"_a = BOARD_HOST)
+        .def("collect", &collect, "port"_a = BOARD_HOST)
         .def("setpoint", &setpoint, "time_us"_a)
         .def(
             "poll",

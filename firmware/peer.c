@@ -1,0 +1,66 @@
+#include "peer.h"
+#include "frame.h" // version, types, prefixes
+#include "wire.h"  // fields
+
+#define TAG_BYTES 8
+
+static void seal(const uint8_t key[SIPHASH_KEY_BYTES], struct writer *w) {
+    write_uint(w, siphash24(key, PEER, w->bytes, w->size), TAG_BYTES);
+}
+
+static bool opens(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *frame, int32_t size,
+                  int32_t expected, enum frame_type type) {
+    if (size != expected || frame[0] != FRAME_VERSION || frame[1] != type)
+        return false;
+    struct reader tag = {frame + size - TAG_BYTES, TAG_BYTES, 0, false};
+    return read_uint(&tag, TAG_BYTES) == siphash24(key, PEER, frame, size - TAG_BYTES);
+}
+
+void peer_request_encode(const uint8_t key[SIPHASH_KEY_BYTES], uint64_t nonce,
+                         uint8_t frame[PEER_REQUEST_BYTES]) {
+    struct writer w = {frame, PEER_REQUEST_BYTES, 0, false};
+    write_uint(&w, FRAME_VERSION, 1);
+    write_uint(&w, FRAME_STAMP_REQUEST, 1);
+    write_uint(&w, nonce, 8);
+    seal(key, &w);
+}
+
+bool peer_request_decode(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *frame, int32_t size,
+                         uint64_t *nonce) {
+    struct reader r = {frame, size, 2, false};
+    if (!opens(key, frame, size, PEER_REQUEST_BYTES, FRAME_STAMP_REQUEST))
+        return false;
+    *nonce = read_uint(&r, 8);
+    return true;
+}
+
+void peer_response_encode(const uint8_t key[SIPHASH_KEY_BYTES],
+                          const struct peer_response *response,
+                          uint8_t frame[PEER_RESPONSE_BYTES]) {
+    struct writer w = {frame, PEER_RESPONSE_BYTES, 0, false};
+    write_uint(&w, FRAME_VERSION, 1);
+    write_uint(&w, FRAME_STAMP_RESPONSE, 1);
+    write_uint(&w, response->nonce, 8);
+    write_uint(&w, (uint64_t)response->received_us, 8);
+    write_uint(&w, (uint64_t)response->sent_us, 8);
+    write_uint(&w, (uint32_t)response->least_error_ns, 4);
+    write_uint(&w, (uint32_t)response->most_error_ns, 4);
+    write_uint(&w, response->lineage, 4);
+    write_uint(&w, response->settled, 1);
+    seal(key, &w);
+}
+
+bool peer_response_decode(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *frame, int32_t size,
+                          struct peer_response *response) {
+    struct reader r = {frame, size, 2, false};
+    if (!opens(key, frame, size, PEER_RESPONSE_BYTES, FRAME_STAMP_RESPONSE))
+        return false;
+    response->nonce = read_uint(&r, 8);
+    response->received_us = (int64_t)read_uint(&r, 8);
+    response->sent_us = (int64_t)read_uint(&r, 8);
+    response->least_error_ns = (int32_t)(uint32_t)read_uint(&r, 4);
+    response->most_error_ns = (int32_t)(uint32_t)read_uint(&r, 4);
+    response->lineage = (uint32_t)read_uint(&r, 4);
+    response->settled = read_uint(&r, 1) & 1;
+    return true;
+}
