@@ -16,6 +16,7 @@ from headway.configs.schema import Config
 from headway.controller.estimator import Sample
 from headway.controller.gains import Gains
 from headway.controller.prediction import Prediction
+from headway.controller.settle import Settle
 from headway.controller.tick import DeviceError, Outbox, Phase
 from headway.devices import core
 from headway.devices.axis import AxisUnits
@@ -25,7 +26,8 @@ from headway.devices.stop import why
 Array = NDArray[np.float64]
 
 HELLO_TICKS = 500  # until every device has answered
-SETTLE_TICKS = 1000  # of synchronization before the first plan, at least; four times that at most
+SETTLED_US = 500_000  # for which all clocks have stayed settled before the machine is armed
+SETTLE_US = 20_000_000  # until then, at most
 START_KNOTS = 16  # from the first plan's sending to its beginning, beyond the margin
 STILL_POINTS = 6  # of the first plan
 ARM_TICKS = 250  # until a device has answered that it is armed
@@ -60,7 +62,9 @@ class Start:
         self._remotes, self._units, self._prediction = remotes, units, prediction
         self._gains = gains
         self._margin = config.loop.margin_knots
-        self._ticks = 0
+        self._ticks = self._began_us = 0
+        self._knot_us = config.loop.knot_us
+        self._settle = Settle(self._joints, remotes)
         self._homing = self._standing = False
         self._resumed: list[bool] = []
         self.phase = Phase.HELLO
@@ -74,11 +78,12 @@ class Start:
         the plan.
         """
         self._ticks += 1
+        now_us = knot * self._knot_us
         if self.phase is Phase.HELLO:
             if not self._greeted():
                 return Outbox()
-            self.phase, self._ticks = Phase.SYNC, 0
-        if self.phase is Phase.SYNC and not self._settled():
+            self.phase, self._began_us = Phase.SYNC, now_us
+        if self.phase is Phase.SYNC and not self._settled(now_us):
             del samples[: -100 * len(self._remotes)]
             return Outbox()
         if self.phase is Phase.SYNC:
@@ -164,19 +169,21 @@ class Start:
             raise DeviceError(f"{', '.join(late)}: not armed within {ARM_TICKS} ticks")
         return False
 
-    def _settled(self) -> bool:
+    def _settled(self, now_us: int) -> bool:
         """Whether every clock has settled."""
+        self._settle.tick(now_us)
         for axis, units, remote in zip(self._axes, self._units, self._remotes, strict=True):
             if remote.status is not None and remote.status.state in LATCHED:
                 reason = why(remote.status, axis, units, self._period_us)
                 raise DeviceError(f"{axis.joint}: {reason}")
         ready = all(r.status and r.status.state in (IDLE, HOLD) for r in self._remotes)
-        if ready:
-            return self._ticks >= SETTLE_TICKS
-        if self._ticks > 4 * SETTLE_TICKS:
-            pairs = zip(self._joints, self._remotes, strict=True)
-            unsynced = [joint for joint, r in pairs if not (r.status and r.status.synced)]
-            raise DeviceError(f"{', '.join(unsynced)}: not synced within {4 * SETTLE_TICKS} ticks")
+        if ready and self._settle.settled_us(now_us) >= SETTLED_US:
+            return True
+        if now_us - self._began_us > SETTLE_US:
+            raise DeviceError(
+                f"not settled within {SETTLE_US / 1e6:g} s: "
+                + ("; ".join(self._settle.unsettled(now_us)) or "a device does not come to IDLE")
+            )
         return False
 
     def _standing_at(self, samples: list[Sample]) -> Array:

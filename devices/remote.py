@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.devices.clock import RemoteClock
 from headway.devices.session import Session
 from headway.firmware import _core
 
@@ -62,6 +63,7 @@ class Remote:
         self.epoch = 0  # of the plans that are sent
         self.number = 0
         self.status: _core.Status | None = None
+        self.clock = RemoteClock()
         self.frames_bad = 0
 
     def receive(self, packet: bytes, received_us: int) -> _core.Status | None:
@@ -81,6 +83,7 @@ class Remote:
         if not self._session.overtaken:  # else only its samples are news
             self._echoes.append((status.sent_count_us, received_us))
             self.status = status
+            self.clock.note(status, received_us)
             self._settle(status)
         return status
 
