@@ -110,7 +110,10 @@ void happen_breach(struct device *device, struct breach breach, uint32_t count_u
     enum device_state from = device->state;
     if (fault_response(breach.reason) == RESPONSE_BRAKE)
         device->trusted = false; // also in the middle of a ramp
-    if (!happen(device, event_of(breach.reason, from)) || device->state == DEVICE_UNSYNCED)
+    bool stops = happen(device, event_of(breach.reason, from));
+    if (breach.reason == REASON_OUTSIDE) // the brake now: there is no way left for a ramp
+        device->ramp.resting = true;
+    if (!stops || device->state == DEVICE_UNSYNCED)
         return; // nothing stopped
     struct fault fault = {
         .reason = (uint8_t)breach.reason,

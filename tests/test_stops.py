@@ -419,3 +419,24 @@ def test_a_ramp_that_the_axis_does_not_follow_ends_with_the_brake(reason: str) -
     assert rig.reason == reason and rig.node.status.fault.state == S.TAIL
     rig.run(STOP_US + BRAKE_US + 10_000)
     assert rig.node.brake and not rig.node.power
+
+
+def test_past_its_last_limit_an_axis_is_braked_at_once() -> None:
+    """A ramp that it cannot follow has carried it out: no ramp gets another try there."""
+    settings = cart_settings()
+    monitor = settings.monitor
+    monitor.high_pq = round(0.5 * PQ)
+    monitor.deceleration_q16 *= 20  # more than the motor has: told too late that there is no room
+    monitor.following_periods = 60_000
+    settings.monitor = monitor
+    rig, axis = cart_rig(settings)
+    rig.sync()
+    drive(rig, axis, 0.01, 4.0)  # the plan goes on to beyond
+    rig.run_until(S.TAIL)
+    assert rig.reason == "ROOM" and axis.q < 0.5
+    rig.run_until(S.FAULT)
+    assert rig.reason == "OUTSIDE" and axis.v > 3
+    assert rig.node.brake and rig.node.power  # the motor helps until the brake has engaged
+    rig.run(300_000)
+    assert not rig.node.power and axis.v == 0
+    assert axis.q < 0.6
