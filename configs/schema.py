@@ -88,6 +88,10 @@ class Sync(Section):
     """No frame takes less time to a board: where it is known, it narrows the interval."""
     to_host_least_us: Delay = 0
     """No frame takes less time to the host."""
+    one_bus: bool = False
+    """All boards hang on one USB host controller and see the same starts of frames: then they agree
+    with each other by these.
+    """
     drift_ppm: Annotated[float, Field(gt=0, le=300)] = 200.0
     """A board's oscillator and the host's differ by this much at most."""
     wander_ppm_per_s: Annotated[float, Field(gt=0, le=60)] = 1.0

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.devices.bus import NONE, Bus, Mark
 from headway.devices.clock import RemoteClock
 from headway.devices.session import Session
 from headway.firmware import _core
@@ -47,8 +48,12 @@ class Plan:
 class Remote:
     """One device at the far end of a link."""
 
-    def __init__(self, session: Session, patience_us: int) -> None:
-        """`patience_us`: what has no answer after this long counts as lost."""
+    def __init__(
+        self, session: Session, patience_us: int, device: int = 0, bus: Bus | None = None
+    ) -> None:
+        """`patience_us`: what has no answer after this long counts as lost. `bus`: what this
+        device, by its index, and others see at once."""
+        self._device, self._bus = device, bus
         self._patience_us = patience_us
         self._session = session
         self.greeting = "no answer"  # to HELLO, until there is a session; else why there is none
@@ -84,6 +89,8 @@ class Remote:
             self._echoes.append((status.sent_count_us, received_us))
             self.status = status
             self.clock.note(status, received_us)
+            if self._bus is not None:
+                self._bus.tell(self._device, status.mark)
             self._settle(status)
         return status
 
@@ -151,6 +158,9 @@ class Remote:
             self._presumed[sink] = track
         return self._presumed[sink]
 
+    def _mark(self) -> Mark:
+        return NONE if self._bus is None else self._bus.mark()
+
     def _stamps(self, sent_us: int) -> tuple[int, int, int]:
         echo = self._echoes.popleft() if self._echoes else (0, 0)  # (0, 0): no sample
         return (*echo, sent_us)
@@ -160,7 +170,7 @@ class Remote:
         self.number += 1
         plan = Plan(self.number, sent_us, first_knot, points)
         payload = _core.plan_encode(
-            self._stamps(sent_us), self.number, self.epoch, first_knot, points
+            self._stamps(sent_us), self.number, self.epoch, first_knot, points, self._mark()
         )
         self._pending.append(plan)
         for sink, track in self._presumed.items():
@@ -179,5 +189,5 @@ class Remote:
 
     def sync_packet(self, sent_us: int) -> bytes:
         """Seals stamps alone."""
-        payload = _core.sync_encode(self._stamps(sent_us))
+        payload = _core.sync_encode(self._stamps(sent_us), self._mark())
         return self._session.seal(_core.FRAME_SYNC, payload)

@@ -25,6 +25,7 @@ TRACK_POINTS: int
 PLAN_POINTS_MAX: int
 LIVE_KNOTS: int
 COAST_KNOTS: int
+MARK_OPEN: int
 COUNT_BITS: int
 INTEGRAL_BITS: int
 POINT_MAX: int
@@ -87,6 +88,7 @@ def plan_encode(
     epoch: int,
     first_knot: int,
     tracks: dict[int, NDArray[np.int32]],
+    mark: tuple[int, int, int] = ...,
 ) -> bytes: ...
 def plan_decode(
     payload: bytes,
@@ -126,7 +128,7 @@ class Fault:
     @property
     def torque_tq(self) -> int: ...
 
-def sync_encode(stamps_us: tuple[int, int, int]) -> bytes: ...
+def sync_encode(stamps_us: tuple[int, int, int], mark: tuple[int, int, int] = ...) -> bytes: ...
 def status_decode(payload: bytes, /) -> Status | None: ...
 
 class Status:
@@ -144,6 +146,10 @@ class Status:
     def rate_q32(self) -> int: ...
     @property
     def heard_us(self) -> int: ...
+    @property
+    def mark(self) -> tuple[int, int, int]:
+        """Number, width and least time [us]; a width of MARK_OPEN: it is not known."""
+
     @property
     def heard_age_us(self) -> int: ...
     @property

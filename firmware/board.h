@@ -32,6 +32,9 @@ bool board_index(struct board *board, int32_t *count);
 int32_t board_supply_mV(const struct board *board);
 void board_set_chopper(struct board *board, bool on); // burns what the motor feeds back
 
+// The last start of a bus frame: its number and the count at it. False where there is no bus.
+bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us);
+
 // Ports: the host's, and those of the boards beside this one, as many as it has.
 #define BOARD_HOST 0
 #define BOARD_PORTS 5

@@ -30,6 +30,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us) 
     device->clock.count_us = count_us;
     device->sync.id = (uint32_t)board_random(board) | 1; // not 0
     sync_restart(&device->sync);
+    device->status.mark.width_us = MARK_OPEN;
     device->next_servo_us = count_us;
     device->offer.answered_us = count_us - OFFER_PAUSE_US;
     device->brake = true;
@@ -155,6 +156,15 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     }
 }
 
+// Dates a mark as soon as it is seen: later the clock would be another one.
+static void watch_bus(struct device *device, const struct board *board) {
+    uint16_t number;
+    uint32_t count_us;
+    if (board_frame_start(board, &number, &count_us) &&
+        marks_note(&device->marks, number, count_us))
+        device->status.mark = sync_date(&device->sync, &device->clock, number, count_us);
+}
+
 void device_poll(struct device *device, struct board *board) {
     if (!device->configured) { // off and braked
         board_set_brake(board, true);
@@ -168,6 +178,7 @@ void device_poll(struct device *device, struct board *board) {
     while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
         inbox_take(device, board, packet, size, port, arrived_us, board_count_us(board));
     uint32_t count_us = board_count_us(board);
+    watch_bus(device, board);
     int32_t late_us = (int32_t)(count_us - device->next_servo_us);
     if (late_us >= 0) {
         // Missed periods are not made up for: what counts them counts time, such as the brake's.

@@ -40,6 +40,7 @@ struct device {
     struct sync sync;
     uint32_t heard_count_us; // at which the host's last stamps arrived
     struct neighbours neighbours;
+    struct marks marks;
     struct track tracks[TRACK_COUNT];
     struct setpoint setpoint; // of the last one: position, velocity and torque
     struct servo servo;

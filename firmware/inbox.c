@@ -116,8 +116,13 @@ static void take_stamps(struct device *device, const struct stamps *stamps, uint
     struct sync_source host = sync_host(settings);
     device->status.heard_us = stamps->sent_us;
     device->heard_count_us = arrived_us;
-    if (!settings->among_boards)
-        device_take_stamps(device, &host, stamps, arrived_us, count_us);
+    if (settings->among_boards)
+        return;
+    device_take_stamps(device, &host, stamps, arrived_us, count_us);
+    uint32_t mark_us;
+    if (stamps->mark.width_us != MARK_OPEN &&
+        marks_find(&device->marks, stamps->mark.number, &mark_us))
+        sync_take_mark(&device->sync, settings, &device->clock, &stamps->mark, mark_us, count_us);
 }
 
 // New settings; the key stays. The device answers with those that it has then.

@@ -25,6 +25,7 @@ using namespace nb::literals;
 
 using Points = nb::ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Stamps = std::tuple<uint32_t, int64_t, int64_t>;
+using Mark = std::tuple<uint16_t, uint16_t, int64_t>; // number, width, least
 using Counts = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Times = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
@@ -66,8 +67,11 @@ static nb::bytes pack(const std::vector<uint8_t> &frame, int32_t size) {
     return to_bytes(packet, cobs_encode(frame.data(), size, packet.data()));
 }
 
-static stamps make_stamps(const Stamps &t) {
-    return {std::get<0>(t), std::get<1>(t), std::get<2>(t)};
+static const Mark no_mark{0, MARK_OPEN, 0};
+
+static stamps make_stamps(const Stamps &t, const Mark &m = no_mark) {
+    mark made{std::get<0>(m), std::get<1>(m), std::get<2>(m)};
+    return {std::get<0>(t), std::get<1>(t), std::get<2>(t), made};
 }
 
 static const char *const frame_errors[] = {"ok",          "bad length", "bad version",
@@ -200,7 +204,7 @@ static void bind_handshake(nb::module_ &m) {
 }
 
 static nb::bytes encode_plan(Stamps stamps_us, uint32_t number, uint16_t epoch, int64_t first_knot,
-                             nb::dict tracks) {
+                             nb::dict tracks, Mark mark) {
     plan p{};
     p.number = number;
     p.epoch = epoch;
@@ -216,7 +220,7 @@ static nb::bytes encode_plan(Stamps stamps_us, uint32_t number, uint16_t epoch, 
         p.count = (uint8_t)count;
         std::memcpy(p.points[s], values.data(), count * sizeof(int32_t));
     }
-    stamps st = make_stamps(stamps_us);
+    stamps st = make_stamps(stamps_us, mark);
     std::vector<uint8_t> payload(FRAME_PAYLOAD_MAX);
     int32_t size = plan_encode(&st, &p, payload.data(), FRAME_PAYLOAD_MAX);
     if (size < 0)
@@ -240,16 +244,16 @@ static nb::object decode_plan(nb::bytes payload) {
 
 static void bind_payloads(nb::module_ &m) {
     m.def("plan_encode", &encode_plan, "stamps_us"_a, "number"_a, "epoch"_a, "first_knot"_a,
-          "tracks"_a);
+          "tracks"_a, "mark"_a = no_mark);
     m.def("plan_decode", &decode_plan, "payload"_a);
     m.def(
         "sync_encode",
-        [](Stamps stamps_us) {
-            stamps st = make_stamps(stamps_us);
+        [](Stamps stamps_us, Mark mark) {
+            stamps st = make_stamps(stamps_us, mark);
             std::vector<uint8_t> payload(FRAME_PAYLOAD_MAX);
             return to_bytes(payload, sync_encode(&st, payload.data(), FRAME_PAYLOAD_MAX));
         },
-        "stamps_us"_a);
+        "stamps_us"_a, "mark"_a = no_mark);
     m.def(
         "command_encode",
         [](uint32_t number, uint8_t kind, int32_t argument, uint16_t epoch) {
@@ -289,6 +293,10 @@ static void bind_payloads(nb::module_ &m) {
         .def_ro("most_error_ns", &status::most_error_ns)
         .def_ro("rate_q32", &status::rate_q32)
         .def_ro("heard_us", &status::heard_us)
+        .def_prop_ro("mark",
+                     [](status &s) {
+                         return nb::make_tuple(s.mark.number, s.mark.width_us, s.mark.least_us);
+                     })
         .def_ro("heard_age_us", &status::heard_age_us)
         .def_ro("state", &status::state)
         .def_ro("refusal", &status::refusal)
@@ -623,7 +631,7 @@ static nb::tuple follow(synced_clock &s, Counts count_us, Counts arrived_us, Cou
     for (size_t i = 0; i < n; i++) {
         clock_advance(&s.clock, count_us.data()[i]);
         if (sent_us.data()[i] != 0) {
-            stamps st{echo_us.data()[i], received_us.data()[i], sent_us.data()[i]};
+            stamps st{echo_us.data()[i], received_us.data()[i], sent_us.data()[i], {}};
             sync_source host = sync_host(&s.settings);
             sync_take(&s.sync, &s.settings, &s.clock, &host, &st, arrived_us.data()[i],
                       count_us.data()[i], may_step && !s.sync.settled);
@@ -778,6 +786,7 @@ NB_MODULE(_core, m) {
     m.attr("PLAN_POINTS_MAX") = PLAN_POINTS_MAX;
     m.attr("LIVE_KNOTS") = GATE_LIVE_KNOTS;
     m.attr("COAST_KNOTS") = DEVICE_COAST_KNOTS;
+    m.attr("MARK_OPEN") = MARK_OPEN;
     m.attr("COUNT_BITS") = SERVO_COUNT_BITS;
     m.attr("INTEGRAL_BITS") = SERVO_INTEGRAL_BITS;
     m.attr("POINT_MAX") = GATE_POINT_MAX;

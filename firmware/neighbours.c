@@ -64,7 +64,9 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
         response.nonce != question->nonce)
         return false;
     question->open = false;
-    struct stamps stamps = {question->sent_us, response.received_us, response.sent_us};
+    struct stamps stamps = {.echo_us = question->sent_us,
+                            .received_us = response.received_us,
+                            .sent_us = response.sent_us};
     struct sync_source source = {.to_here_least_us = settings->peer_least_us,
                                  .to_there_least_us = settings->peer_least_us,
                                  .least_error_ns = response.least_error_ns,

@@ -5,6 +5,7 @@ static void write_stamps(struct writer *w, const struct stamps *stamps) {
     write_uint(w, stamps->echo_us, 4);
     write_uint(w, (uint64_t)stamps->received_us, 8);
     write_uint(w, (uint64_t)stamps->sent_us, 8);
+    mark_write(w, &stamps->mark);
 }
 
 static int64_t read_time(struct reader *r) {
@@ -18,6 +19,9 @@ static void read_stamps(struct reader *r, struct stamps *stamps) {
     stamps->echo_us = (uint32_t)read_uint(r, 4);
     stamps->received_us = read_time(r);
     stamps->sent_us = read_time(r);
+    mark_read(r, &stamps->mark);
+    if (stamps->mark.least_us > PLAN_TIME_MAX || stamps->mark.least_us < -PLAN_TIME_MAX)
+        r->failed = true;
 }
 
 static bool counts_ok(const struct plan *plan) {

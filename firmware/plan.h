@@ -2,6 +2,7 @@
 // payload, which is its head alone.
 //
 //     echo_us u32, received_us i64, sent_us i64      stamps for the clock, see stamps.h
+//     mark u16, width_us u16, least_us i64           see mark.h
 //     number u32, epoch u16, first_knot i64, tracks u8, count u8      only in a PLAN
 //     for each track in the mask, count zigzag varints: the first point, the first difference, then
 //     second differences (a smooth curve's are small: about two bytes a point)

@@ -3,12 +3,13 @@
 #ifndef HEADWAY_STAMPS_H
 #define HEADWAY_STAMPS_H
 
-#include <stdint.h>
+#include "mark.h"
 
 struct stamps {
     uint32_t echo_us;    // own count when our frame left ...
     int64_t received_us; // ... and the other clock when it arrived there; 0: nothing to echo
     int64_t sent_us;     // the other clock when its own frame left
+    struct mark mark;    // what all boards on the bus agree on
 };
 
 #endif

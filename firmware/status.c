@@ -10,6 +10,7 @@ int32_t status_encode(const struct status *status, uint8_t *payload, int32_t cap
     write_uint(&w, (uint32_t)status->rate_q32, 4);
     write_uint(&w, (uint64_t)status->heard_us, 8);
     write_uint(&w, status->heard_age_us, 4);
+    mark_write(&w, &status->mark);
     write_uint(&w, status->state, 1);
     write_uint(&w, status->refusal, 1);
     write_uint(&w,
@@ -53,6 +54,7 @@ bool status_decode(const uint8_t *payload, int32_t size, struct status *status) 
     status->rate_q32 = (int32_t)(uint32_t)read_uint(&r, 4);
     status->heard_us = (int64_t)read_uint(&r, 8);
     status->heard_age_us = (uint32_t)read_uint(&r, 4);
+    mark_read(&r, &status->mark);
     status->state = (uint8_t)read_uint(&r, 1);
     status->refusal = (uint8_t)read_uint(&r, 1);
     uint64_t flags = read_uint(&r, 1);

@@ -4,6 +4,7 @@
 
 #include "fault.h"
 #include "history.h"
+#include "mark.h"
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -25,6 +26,7 @@ struct status {
     int32_t rate_q32;                      // of its system time against its count, minus one
     int64_t heard_us;                      // the host's stamp in the frame that came last ...
     uint32_t heard_age_us;                 // ... and how long before this status that was
+    struct mark mark;                      // the last one, as far as it knows the time
     uint8_t state;                         // enum device_state
     uint8_t refusal;                       // enum gate_result of the last refused plan
     bool synced;

@@ -121,6 +121,37 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
     return true;
 }
 
+struct mark sync_date(const struct sync *sync, const struct headway_clock *clock, uint16_t number,
+                      uint32_t count_us) {
+    struct mark mark = {number, MARK_OPEN, 0};
+    if (!sync->begun || !bounds_closed(&sync->bounds))
+        return mark;
+    int64_t ticks_us = clock_ticks(clock, count_us), base_us = sync->bounds.base_us + ticks_us;
+    int64_t lower_us = bounds_lower_at_q16(&sync->bounds, ticks_us) >> 16;
+    int64_t upper_us = (bounds_upper_at_q16(&sync->bounds, ticks_us) >> 16) + 1 + STAMP_US;
+    if (upper_us - lower_us < MARK_OPEN) {
+        mark.least_us = base_us + lower_us;
+        mark.width_us = (uint16_t)(upper_us - lower_us);
+    }
+    return mark;
+}
+
+bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
+                    const struct headway_clock *clock, const struct mark *mark, uint32_t count_us,
+                    uint32_t now_count_us) {
+    struct bounds_limits limits = limits_of(settings);
+    int64_t ticks_us = clock_ticks(clock, count_us);
+    if (!sync->begun)
+        return false;
+    bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    int64_t least_us = mark->least_us - ticks_us - sync->bounds.base_us;
+    bool taken =
+        bounds_prove(&sync->bounds, &limits, false, near_q16(least_us - STAMP_US), ticks_us) &&
+        bounds_prove(&sync->bounds, &limits, true, near_q16(least_us + mark->width_us), ticks_us);
+    sync->excluded += !taken;
+    return taken;
+}
+
 static int32_t nanoseconds(int64_t offset_q16) {
     if (offset_q16 >= 1LL << 36 || offset_q16 <= -(1LL << 36))
         return offset_q16 > 0 ? SYNC_ERROR_OPEN : -SYNC_ERROR_OPEN;

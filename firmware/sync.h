@@ -72,6 +72,16 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
                const struct sync_source *source, const struct stamps *stamps, uint32_t arrived_us,
                uint32_t now_count_us, bool may_step);
 
+// When the instant of a mark was, by the other clock, as far as that is known; the own counter showed
+// `count_us`, some milliseconds ago at most.
+struct mark sync_date(const struct sync *sync, const struct headway_clock *clock, uint16_t number,
+                      uint32_t count_us);
+
+// Takes what all boards know of a mark. False if it contradicts what is known here.
+bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
+                    const struct headway_clock *clock, const struct mark *mark, uint32_t count_us,
+                    uint32_t now_count_us);
+
 // To be called after each clock_advance, at least every second. Returns whether the clock stepped.
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);

@@ -22,6 +22,11 @@ void board_set_brake(struct board *board, bool engaged) {
     board->brake = engaged;
 }
 
+bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us) {
+    (void)board, (void)number, (void)count_us;
+    return false;
+}
+
 bool board_stop_line(const struct board *board) { return board->stop_line; }
 
 bool board_home_switch(const struct board *board) { return board->home_switch; }
