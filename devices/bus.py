@@ -1,9 +1,9 @@
 """What the boards on one bus have seen at once, and what they make of it together.
 
 Every board on a USB sees the same start of a frame, at the same instant but for some tens of
-nanoseconds. Each tells between which times, by what it knows of the host's, that was (firmware/mark.h).
-All of them are right, so the instant lies in the intersection, and this is told to all: they come to
-know the same, and so agree with each other, better than any of them with the host.
+nanoseconds. Each tells between which times, by what it knows of the host's, that was
+(firmware/mark.h). All of them are right, so the instant lies in the intersection, and this is told
+to all: they come to know the same, and agree with each other better than any with the host.
 """
 
 from __future__ import annotations

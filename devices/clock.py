@@ -2,8 +2,8 @@
 
 The device says between which bounds its clock errs (firmware/sync.h). The host does not take its
 word for it: a status was sent before it arrived, and after the frame that it had heard arrived at
-the device. So with T the device's clock as it sent a status, R the host's as that arrived, and S the
-host's in a frame that the device had heard `age` before,
+the device. So with T the device's clock as it sent a status, R the host's as that arrived, and S
+the host's in a frame that the device had heard `age` before,
 
     T - age - S >= T's error >= T - R.
 
