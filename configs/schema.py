@@ -173,6 +173,11 @@ class Clocks(Section):
 
     drift_ppm: Annotated[float, Field(ge=0, le=150)] = 30.0
     """Each board's oscillator drifts by up to this much, in either direction."""
+    # A crystal changes by about 1 ppm per degree (H. Murray, time-nuts, July 2006:
+    # febo.com/pipermail/time-nuts/2006-July/021071.html); a board whose motors begin to work warms
+    # by some 0.1 degrees a second, which is our choice.
+    wander_ppm_per_s: Annotated[float, Field(ge=0, le=1)] = 0.1
+    """How fast that drift changes at most, within the same bound: it warms and cools."""
 
 
 class Mishap(Section):

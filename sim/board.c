@@ -1,11 +1,13 @@
 #include "board.h"
 #include <string.h>
 
+void board_advance(struct board *board, int64_t true_us) {
+    board->true_us = true_us;
+    oscillator_seek(&board->oscillator, true_us);
+}
+
 uint32_t board_count_at(const struct board *board, int64_t true_us) {
-    int64_t billion = 1000000000;
-    int64_t drift_us = true_us / billion * board->drift_ppb + // in two parts: no overflow
-                       true_us % billion * board->drift_ppb / billion;
-    return (uint32_t)(uint64_t)(board->count_offset + true_us + drift_us);
+    return (uint32_t)(uint64_t)oscillator_read(&board->oscillator, true_us);
 }
 
 uint32_t board_count_us(const struct board *board) { return board_count_at(board, board->true_us); }
@@ -53,12 +55,7 @@ void board_save(struct board *board, enum board_record record, const uint8_t *by
     memcpy(board->memory[record].bytes, bytes, (size_t)size);
 }
 
-uint64_t board_random(struct board *board) { // splitmix64 (Steele, Lea, Flood, 2014)
-    uint64_t z = board->random += 0x9e3779b97f4a7c15u;
-    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ z >> 27) * 0x94d049bb133111ebu;
-    return z ^ z >> 31;
-}
+uint64_t board_random(struct board *board) { return splitmix64(&board->random); }
 
 static int32_t floor_divide(int32_t a, int32_t b) { return a / b - (a % b < 0); }
 

@@ -5,6 +5,7 @@
 
 #include "cobs.h"
 #include "device.h"
+#include "oscillator.h"
 
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
@@ -32,9 +33,8 @@ struct encoder_fault {
 };
 
 struct board {
-    int64_t true_us;      // the simulator's own time; the device sees only its counter
-    int64_t count_offset; // counter at true time 0
-    int32_t drift_ppb;    // of the counter's oscillator
+    int64_t true_us; // the simulator's own time; the device sees only its counter
+    struct oscillator oscillator;
     int32_t encoder_count;
     int32_t encoder_offset; // what an incremental encoder does not know
     int32_t duty_q15;
@@ -72,6 +72,9 @@ struct node {
     struct device device;
     struct board board;
 };
+
+// Time goes on.
+void board_advance(struct board *board, int64_t true_us);
 
 // Count of the local oscillator at a true time.
 uint32_t board_count_at(const struct board *board, int64_t true_us);

@@ -112,9 +112,17 @@ class Lockstep:
         settings.key = world.bytes(16)
         if config.machine.axes[device].homing is not None:
             self._forget(device, world)
-        drift_ppb = round(world.uniform(-1, 1) * config.sim.clocks.drift_ppm * 1000)
-        self.plant.nodes[device].flash(settings, int(world.integers(2**32)), drift_ppb)
-        self.plant.nodes[device].random = int(nonces.integers(2**63))
+        clocks, node = config.sim.clocks, self.plant.nodes[device]
+        bound_ppb = round(clocks.drift_ppm * 1000)
+        node.flash(
+            settings,
+            count_offset=int(world.integers(2**32)),
+            drift_ppb=round(world.uniform(-1, 1) * bound_ppb),
+            wander_ppb_per_s=round(clocks.wander_ppm_per_s * 1000),
+            drift_bound_ppb=bound_ppb,
+            oscillator_seed=int(world.integers(2**63)),
+        )
+        node.random = int(nonces.integers(2**63))
         return Remote(Session(settings.key, nonces), COAST_KNOTS * config.loop.knot_us)
 
     def _forget(self, device: int, world: np.random.Generator) -> None:
