@@ -149,9 +149,13 @@ class Channel(Section):
     """One direction of the simulated network."""
 
     delay_us: Delay = 3000
-    """A packet's mean time under way."""
+    """A packet's mean time under way, from when it has been sent and without its tail."""
     jitter_us: Delay = 1000
     """How far that time varies to either side."""
+    tail: Share = 0.0
+    """Share of packets that take longer, by a time of their own."""
+    tail_us: Delay = 0
+    """The mean of that time, which is distributed exponentially."""
     loss: Share = 0.01
     """Share of packets that get lost."""
     loss_run: Annotated[float, Field(ge=1, le=1000)] = 1.0
@@ -160,11 +164,36 @@ class Channel(Section):
     """Share of packets that are held up, so that others overtake them."""
     reorder_us: Delay = 4000
     """How long they are held up."""
+    duplicate: Share = 0.0
+    """Share of packets that arrive twice, each after a time of its own."""
+    in_order: bool = False
+    """No packet overtakes another: it arrives no earlier than those before it."""
+    frame_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Frame of a bus that all boards share; a packet leaves in its slot of a frame. 0: no bus."""
+    slot_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Where in the frame that slot is."""
+    bandwidth_bit_per_s: Annotated[int, Field(ge=0, le=10**12)] = 0
+    """Packets are sent one after the other, bit by bit. 0: at once."""
+
+    @property
+    def least_us(self) -> int:
+        """No packet is faster: one that is sent the moment its slot comes, to a free wire."""
+        return self.delay_us - self.jitter_us
+
+    @property
+    def usual_most_us(self) -> int:
+        """None is slower but for tails, queues and those held up by `in_order`: one that has just
+        missed its slot."""
+        return self.delay_us + self.jitter_us + self.frame_us + self.reorder_us * (self.reorder > 0)
 
     @model_validator(mode="after")
     def _order(self) -> Channel:
         if self.jitter_us > self.delay_us:
             raise ValueError("jitter_us must not exceed delay_us: no packet arrives before it left")
+        if self.slot_us and self.slot_us >= self.frame_us:
+            raise ValueError("slot_us lies in the frame: it must be less than frame_us")
+        if self.tail and not self.tail_us:
+            raise ValueError("tail is a share of packets, and tail_us how late they are: set both")
         return self
 
 
@@ -233,6 +262,16 @@ class Sim(Section):
     bridge_F: NotNegative = 0.0
     """Capacitance of each board's bridge behind a diode; 0: the supply takes back what motors feed
     back."""
+
+    @model_validator(mode="after")
+    def _one_network(self) -> Sim:
+        out, back = self.to_device.frame_us, self.to_host.frame_us
+        if out and back and out != back:
+            raise ValueError(
+                f"to_device.frame_us is {out} and to_host.frame_us {back}; a bus has one frame: "
+                "make them equal, or one 0"
+            )
+        return self
 
 
 class Config(Section):

@@ -36,6 +36,8 @@ void board_set_chopper(struct board *board, bool on); // burns what the motor fe
 // its interrupt stamped it. Returns its size, 0 if there is none.
 int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, uint32_t *count_us);
 void board_send(struct board *board, const uint8_t *bytes, int32_t size);
+// Number (11 bits) of the bus's last start of frame and the count at it; false if there is no bus.
+bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us);
 
 // Non-volatile memory. `board_load` returns the size, 0 if nothing was saved. A save that the power
 // cuts short may leave anything in its own record, and changes no other.

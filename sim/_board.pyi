@@ -67,6 +67,18 @@ class Node:
     def break_encoder(self, defect: int, since_us: int) -> None:
         """0: good, 1: stuck, 2: reversed, 3: jumped, from a true time on."""
 
+    def join_bus(self, phase_ps: int, period_ps: int, seed: int = 0) -> None:
+        """From now on the board sees starts of frames: frame n, from 0, at phase_ps + n period_ps
+        of true time, number n modulo 2048. `seed`: of what catching them is late by, 100 ns at
+        most. Raises ValueError for a negative phase or a period that is not positive."""
+
+    @property
+    def sof(self) -> tuple[int, int] | None:
+        """Number of the last start of a frame and the board's count at it; None without a bus."""
+
+    def step_clock(self, step_us: int) -> None:
+        """The counter jumps, now."""
+
     def deliver(self, arrival_us: int, packet: bytes) -> bool: ...
     def collect(self) -> list[tuple[int, bytes]]:
         """Sent packets with the times at which they left."""

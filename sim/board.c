@@ -1,9 +1,35 @@
 #include "board.h"
 #include <string.h>
 
+#define SOF_JITTER_PS 100000 // a choice: from the wire to a timer's capture
+#define SOF_NUMBERS 2048     // 11 bits (USB 2.0, section 8.4.3)
+#define PS_PER_US 1000000
+
+// The starts of frames up to now. They are caught by hardware, so the count is that of their moment.
+static void pass_frames(struct board *board) {
+    struct frame_clock *bus = &board->bus;
+    while (bus->period_ps > 0 && bus->next_us + (bus->next_ps > 0) <= board->true_us) {
+        int64_t late_ps = bus->next_ps + (int64_t)(splitmix64(&bus->random) % SOF_JITTER_PS);
+        board->sof_count = board_count_at(board, bus->next_us + late_ps / PS_PER_US);
+        board->sof_number = bus->next_number;
+        bus->begun = true;
+        bus->next_number = (bus->next_number + 1) % SOF_NUMBERS;
+        int64_t next_ps = bus->next_ps + bus->period_ps;
+        bus->next_us += next_ps / PS_PER_US;
+        bus->next_ps = next_ps % PS_PER_US;
+    }
+}
+
+bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us) {
+    *number = (uint16_t)board->sof_number;
+    *count_us = board->sof_count;
+    return board->bus.begun;
+}
+
 void board_advance(struct board *board, int64_t true_us) {
     board->true_us = true_us;
     oscillator_seek(&board->oscillator, true_us);
+    pass_frames(board);
 }
 
 uint32_t board_count_at(const struct board *board, int64_t true_us) {

@@ -98,6 +98,27 @@ static void break_encoder(Node &n, int32_t defect, int64_t since_us) {
     n->board.encoder_fault = encoder_fault{defect, since_us, 0, false};
 }
 
+static void join_bus(Node &n, int64_t phase_ps, int64_t period_ps, uint64_t seed) {
+    int64_t ps_per_us = 1000000, now_us = n->board.true_us;
+    if (phase_ps < 0 || period_ps <= 0 || now_us > INT64_MAX / ps_per_us / 2)
+        throw std::invalid_argument(
+            "a bus has a phase from 0 and a period above 0; it is joined in the first 50 days");
+    int64_t frame = 0; // the first that starts after now
+    if (now_us * ps_per_us >= phase_ps)
+        frame = (now_us * ps_per_us - phase_ps) / period_ps + 1;
+    int64_t next_ps = phase_ps + frame * period_ps;
+    n->board.bus = frame_clock{
+        period_ps, next_ps / ps_per_us, next_ps % ps_per_us, (uint32_t)(frame % 2048), false, seed};
+}
+
+static nb::object frame_start(Node &n) {
+    uint16_t number;
+    uint32_t count_us;
+    if (!board_frame_start(&n->board, &number, &count_us))
+        return nb::none();
+    return nb::make_tuple(number, count_us);
+}
+
 static bool deliver(Node &n, int64_t arrival_us, nb::bytes packet) {
     return board_deliver(&n->board, arrival_us, reinterpret_cast<const uint8_t *>(packet.c_str()),
                          (int32_t)packet.size());
@@ -162,6 +183,14 @@ NB_MODULE(_board, m) {
         .def("flash", &flash, "settings"_a, "count_offset"_a = 0, "drift_ppb"_a = 0,
              "wander_ppb_per_s"_a = 0, "drift_bound_ppb"_a = OSCILLATOR_PPB_MAX,
              "oscillator_seed"_a = 0)
+        .def("join_bus", &join_bus, "phase_ps"_a, "period_ps"_a, "seed"_a = 0)
+        .def_prop_ro("sof", &frame_start)
+        .def(
+            "step_clock",
+            [](Node &n, int32_t step_us) {
+                oscillator_step(&n->board.oscillator, n->board.true_us, step_us);
+            },
+            "step_us"_a)
         .def("deliver", &deliver, "arrival_us"_a, "packet"_a)
         .def("collect", &collect)
         .def("setpoint", &setpoint, "time_us"_a)

@@ -30,9 +30,7 @@ def _margin(subject: Subject) -> Rule:
     """A plan arrives before the knot at which it begins; with a knot to spare a lost one is made
     good by the next."""
     loop, sim = subject.config.loop, subject.config.sim
-    wire = sim.to_device
-    late_us = wire.delay_us + wire.jitter_us + (wire.reorder_us if wire.reorder else 0)
-    needed_us = sim.compute_us + late_us
+    needed_us = sim.compute_us + sim.to_device.usual_most_us
     margin_us = loop.margin_knots * loop.knot_us
     losses = max(0, (margin_us - needed_us) // loop.knot_us)
     return at_least(
