@@ -238,6 +238,9 @@ class Sim(Section):
 
     plant: Plant = Plant()
     """How the machine differs from its model."""
+    network: Literal["channels", "usb", "usb-iid", "lan", "wifi", "awful"] = "channels"
+    """What the wires are: as to_device and to_host say, or a kind of network with a name
+    (docs/network.md)."""
     to_device: Channel = Channel()
     """The wires from the host to the boards."""
     to_host: Channel = Channel()
@@ -265,6 +268,16 @@ class Sim(Section):
 
     @model_validator(mode="after")
     def _one_network(self) -> Sim:
+        given = [
+            key
+            for key, channel in (("to_device", self.to_device), ("to_host", self.to_host))
+            if channel != Channel()
+        ]
+        if self.network != "channels" and given:
+            raise ValueError(
+                f"network is {self.network}, which says what the wires do, and {given[0]} is given "
+                f"as well: leave {' and '.join(given)} out, or write network: channels"
+            )
         out, back = self.to_device.frame_us, self.to_host.frame_us
         if out and back and out != back:
             raise ValueError(

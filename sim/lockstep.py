@@ -32,6 +32,7 @@ from headway.sim.bus import Bus
 from headway.sim.mishaps import Mishaps
 from headway.sim.network import Mailbox, Wire
 from headway.sim.plant import Plant, start_of
+from headway.sim.profiles import profile_of
 
 TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
@@ -49,7 +50,7 @@ class SimLink:
         self._plant, self._mailbox = plant, Mailbox()
         self.epoch_us = epoch_us
         self._stamped: list[tuple[int, int, bytes]] = []  # arrived before the clock jumped
-        to_device, to_host = config.sim.to_device, config.sim.to_host
+        to_device, to_host = profile_of(config.sim)
         frame_us = to_device.frame_us or to_host.frame_us
         self.bus = Bus.of(frame_us, seeds[2 * n]) if frame_us else None
         self.to_device = [Wire(to_device, rng, self.bus) for rng in seeds[:n]]
