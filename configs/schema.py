@@ -220,17 +220,30 @@ class Mishap(Section):
         "encoder_reversed",
         "encoder_spike",
         "supply_sag",
+        "clock_step",
+        "host_clock_step",
     ]
     """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
-    stands still, counts backwards or jumps, the supply sags."""
+    stands still, counts backwards or jumps, the supply sags, a board's counter or the host's clock
+    jumps."""
     at_s: NotNegative
     """When in the task."""
     for_s: Positive = LARGE
-    """How long it lasts; an encoder's defect stays, a reset is over at once."""
+    """How long it lasts; an encoder's defect stays, a reset and a jump are over at once."""
     joint: str | None = None
     """The axis that it happens to. Default: all."""
     supply_V: NotNegative = 0.0
     """What is left of a sagging supply."""
+    step_us: Annotated[int, Field(ge=-(10**9), le=10**9)] = 0
+    """How far a counter or a clock jumps, ahead or back."""
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Mishap:
+        if self.kind in ("clock_step", "host_clock_step") and self.step_us == 0:
+            raise ValueError(f"a {self.kind} needs a step_us other than 0")
+        if self.kind == "host_clock_step" and self.joint is not None:
+            raise ValueError("a host_clock_step happens to the host: leave joint out")
+        return self
 
 
 class Sim(Section):

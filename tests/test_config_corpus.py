@@ -526,6 +526,13 @@ OVERRIDES = [
         "sim.to_host.bandwidth_kbit_per_s=12",
         "sim.to_host.bandwidth_kbit_per_s: unknown key; did you mean `bandwidth_bit_per_s`?",
     ),
+    override(
+        "sim.mishaps=[{kind: clock_step, at_s: 1}]", "a clock_step needs a step_us other than 0"
+    ),
+    override(
+        "sim.mishaps=[{kind: host_clock_step, at_s: 1, step_us: 5, joint: q1}]",
+        "a host_clock_step happens to the host: leave joint out",
+    ),
     override("sim.to_device={los: 0.5}", "sim.to_device.los: unknown key; did you mean `loss`?"),
     override(
         "machine.model=none.xml", "machine.model: there is no file", "starts at the config's fol"
