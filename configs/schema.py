@@ -180,9 +180,13 @@ class Channel(Section):
     """One direction of the simulated network."""
 
     delay_us: Delay = 3000
-    """A packet's mean time under way."""
+    """A packet's mean time under way, from when it has been sent and without its tail."""
     jitter_us: Delay = 1000
     """How far that time varies to either side."""
+    tail: Share = 0.0
+    """Share of packets that take longer, by a time of their own."""
+    tail_us: Delay = 0
+    """The mean of that time, which is distributed exponentially."""
     loss: Share = 0.01
     """Share of packets that get lost."""
     loss_run: Annotated[float, Field(ge=1, le=1000)] = 1.0
@@ -191,11 +195,36 @@ class Channel(Section):
     """Share of packets that are held up, so that others overtake them."""
     reorder_us: Delay = 4000
     """How long they are held up."""
+    duplicate: Share = 0.0
+    """Share of packets that arrive twice, each after a time of its own."""
+    in_order: bool = False
+    """No packet overtakes another: it arrives no earlier than those before it."""
+    frame_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Frame of a bus that all boards share; a packet leaves in its slot of a frame. 0: no bus."""
+    slot_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Where in the frame that slot is."""
+    bandwidth_bit_per_s: Annotated[int, Field(ge=0, le=10**12)] = 0
+    """Packets are sent one after the other, bit by bit. 0: at once."""
+
+    @property
+    def least_us(self) -> int:
+        """No packet is faster: one that is sent the moment its slot comes, to a free wire."""
+        return self.delay_us - self.jitter_us
+
+    @property
+    def usual_most_us(self) -> int:
+        """None is slower but for tails, queues and those held up by `in_order`: one that has just
+        missed its slot."""
+        return self.delay_us + self.jitter_us + self.frame_us + self.reorder_us * (self.reorder > 0)
 
     @model_validator(mode="after")
     def _order(self) -> Channel:
         if self.jitter_us > self.delay_us:
             raise ValueError("jitter_us must not exceed delay_us: no packet arrives before it left")
+        if self.slot_us and self.slot_us >= self.frame_us:
+            raise ValueError("slot_us lies in the frame: it must be less than frame_us")
+        if self.tail and not self.tail_us:
+            raise ValueError("tail is a share of packets, and tail_us how late they are: set both")
         return self
 
 
@@ -204,6 +233,11 @@ class Clocks(Section):
 
     drift_ppm: Annotated[float, Field(ge=0, le=150)] = 30.0
     """Each board's oscillator drifts by up to this much, in either direction."""
+    # A crystal changes by about 1 ppm per degree (H. Murray, time-nuts, July 2006:
+    # febo.com/pipermail/time-nuts/2006-July/021071.html); a board whose motors begin to work warms
+    # by some 0.1 degrees a second, which is our choice.
+    wander_ppm_per_s: Annotated[float, Field(ge=0, le=1)] = 0.1
+    """How fast that drift changes at most, within the same bound: it warms and cools."""
 
 
 class Mishap(Section):
@@ -217,17 +251,30 @@ class Mishap(Section):
         "encoder_reversed",
         "encoder_spike",
         "supply_sag",
+        "clock_step",
+        "host_clock_step",
     ]
     """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
-    stands still, counts backwards or jumps, the supply sags."""
+    stands still, counts backwards or jumps, the supply sags, a board's counter or the host's clock
+    jumps."""
     at_s: NotNegative
     """When in the task."""
     for_s: Positive = LARGE
-    """How long it lasts; an encoder's defect stays, a reset is over at once."""
+    """How long it lasts; an encoder's defect stays, a reset and a jump are over at once."""
     joint: str | None = None
     """The axis that it happens to. Default: all."""
     supply_V: NotNegative = 0.0
     """What is left of a sagging supply."""
+    step_us: Annotated[int, Field(ge=-(10**9), le=10**9)] = 0
+    """How far a counter or a clock jumps, ahead or back."""
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Mishap:
+        if self.kind in ("clock_step", "host_clock_step") and self.step_us == 0:
+            raise ValueError(f"a {self.kind} needs a step_us other than 0")
+        if self.kind == "host_clock_step" and self.joint is not None:
+            raise ValueError("a host_clock_step happens to the host: leave joint out")
+        return self
 
 
 class Sim(Section):
@@ -235,6 +282,9 @@ class Sim(Section):
 
     plant: Plant = Plant()
     """How the machine differs from its model."""
+    network: Literal["channels", "usb", "usb-iid", "lan", "wifi", "awful"] = "channels"
+    """What the wires are: as to_device and to_host say, or a kind of network with a name
+    (docs/network.md)."""
     to_device: Channel = Channel()
     """The wires from the host to the boards."""
     to_host: Channel = Channel()
@@ -259,6 +309,26 @@ class Sim(Section):
     bridge_F: NotNegative = 0.0
     """Capacitance of each board's bridge behind a diode; 0: the supply takes back what motors feed
     back."""
+
+    @model_validator(mode="after")
+    def _one_network(self) -> Sim:
+        given = [
+            key
+            for key, channel in (("to_device", self.to_device), ("to_host", self.to_host))
+            if channel != Channel()
+        ]
+        if self.network != "channels" and given:
+            raise ValueError(
+                f"network is {self.network}, which says what the wires do, and {given[0]} is given "
+                f"as well: leave {' and '.join(given)} out, or write network: channels"
+            )
+        out, back = self.to_device.frame_us, self.to_host.frame_us
+        if out and back and out != back:
+            raise ValueError(
+                f"to_device.frame_us is {out} and to_host.frame_us {back}; a bus has one frame: "
+                "make them equal, or one 0"
+            )
+        return self
 
 
 class Config(Section):

@@ -10,14 +10,52 @@ RECORD_SETTINGS_A: int
 RECORD_BOOTS_A: int
 RECORD_FAULTS_A: int
 RECORD_MAX: int
+OSCILLATOR_PPB_MAX: int
+
+class Oscillator:
+    """The counter of a simulated board: the same C code as there. All times are true times [us].
+
+    Its rate is off by a skew that starts as `drift_ppb`, changes by at most `wander_ppb_per_s`,
+    evenly for a second and then anew, and never leaves +-`drift_bound_ppb`.
+    """
+
+    def __init__(
+        self,
+        offset: int = 0,
+        drift_ppb: int = 0,
+        wander_ppb_per_s: int = 0,
+        drift_bound_ppb: int = 1_000_000,
+        seed: int = 0,
+    ) -> None:
+        """`offset`: count at true time 0. Raises ValueError for a drift beyond its bound, and for
+        a bound or a wander beyond OSCILLATOR_PPB_MAX."""
+
+    def count_at(self, true_us: int) -> int:
+        """The count, modulo 2^32. Fast within a second of the last call; a way back further starts
+        at true time 0 again."""
+
+    def counts(self, true_us: NDArray[np.int64]) -> NDArray[np.uint32]:
+        """The same at times of shape (n,), which had better ascend; also of shape (n,)."""
+
+    def step(self, true_us: int, step_us: int) -> None:
+        """The counter jumps at a time, for all that follows."""
 
 class Node:
     """Refers to the array: all state is in there. All times are true times unless named."""
 
     def __init__(self, state: NDArray[np.float64]) -> None: ...
-    def flash(self, settings: DeviceSettings, count_offset: int = 0, drift_ppb: int = 0) -> None:
+    def flash(
+        self,
+        settings: DeviceSettings,
+        count_offset: int = 0,
+        drift_ppb: int = 0,
+        wander_ppb_per_s: int = 0,
+        drift_bound_ppb: int = 1_000_000,
+        oscillator_seed: int = 0,
+    ) -> None:
         """As a programmer: settings into the memory, then a power cycle. The rest of the memory,
-        the boot counter above all, stays."""
+        the boot counter above all, stays. The board gets an Oscillator of these numbers; raises
+        ValueError as that does."""
 
     def restart(self) -> None:
         """A power cycle: what is in memory stays, all else is gone."""
@@ -28,6 +66,18 @@ class Node:
     def set_memory(self, record: int, bytes: bytes) -> None: ...
     def break_encoder(self, defect: int, since_us: int) -> None:
         """0: good, 1: stuck, 2: reversed, 3: jumped, from a true time on."""
+
+    def join_bus(self, phase_ps: int, period_ps: int, seed: int = 0) -> None:
+        """From now on the board sees starts of frames: frame n, from 0, at phase_ps + n period_ps
+        of true time, number n modulo 2048. `seed`: of what catching them is late by, 100 ns at
+        most. Raises ValueError for a negative phase or a period that is not positive."""
+
+    @property
+    def sof(self) -> tuple[int, int] | None:
+        """Number of the last start of a frame and the board's count at it; None without a bus."""
+
+    def step_clock(self, step_us: int) -> None:
+        """The counter jumps, now."""
 
     def deliver(self, arrival_us: int, packet: bytes, port: int = 0) -> bool: ...
     def collect(self, port: int = 0) -> list[tuple[int, bytes]]:

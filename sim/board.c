@@ -1,11 +1,39 @@
 #include "board.h"
 #include <string.h>
 
+#define SOF_JITTER_PS 100000 // a choice: from the wire to a timer's capture
+#define SOF_NUMBERS 2048     // 11 bits (USB 2.0, section 8.4.3)
+#define PS_PER_US 1000000
+
+// The starts of frames up to now. They are caught by hardware, so the count is that of their moment.
+static void pass_frames(struct board *board) {
+    struct frame_clock *bus = &board->bus;
+    while (bus->period_ps > 0 && bus->next_us + (bus->next_ps > 0) <= board->true_us) {
+        int64_t late_ps = bus->next_ps + (int64_t)(splitmix64(&bus->random) % SOF_JITTER_PS);
+        board->sof_count = board_count_at(board, bus->next_us + late_ps / PS_PER_US);
+        board->sof_number = bus->next_number;
+        bus->begun = true;
+        bus->next_number = (bus->next_number + 1) % SOF_NUMBERS;
+        int64_t next_ps = bus->next_ps + bus->period_ps;
+        bus->next_us += next_ps / PS_PER_US;
+        bus->next_ps = next_ps % PS_PER_US;
+    }
+}
+
+bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us) {
+    *number = (uint16_t)board->sof_number;
+    *count_us = board->sof_count;
+    return board->bus.begun;
+}
+
+void board_advance(struct board *board, int64_t true_us) {
+    board->true_us = true_us;
+    oscillator_seek(&board->oscillator, true_us);
+    pass_frames(board);
+}
+
 uint32_t board_count_at(const struct board *board, int64_t true_us) {
-    int64_t billion = 1000000000;
-    int64_t drift_us = true_us / billion * board->drift_ppb + // in two parts: no overflow
-                       true_us % billion * board->drift_ppb / billion;
-    return (uint32_t)(uint64_t)(board->count_offset + true_us + drift_us);
+    return (uint32_t)(uint64_t)oscillator_read(&board->oscillator, true_us);
 }
 
 uint32_t board_count_us(const struct board *board) { return board_count_at(board, board->true_us); }
@@ -20,11 +48,6 @@ void board_set_brake(struct board *board, bool engaged) {
     if (board->brake != engaged)
         board->brake_us = board->true_us;
     board->brake = engaged;
-}
-
-bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us) {
-    (void)board, (void)number, (void)count_us;
-    return false;
 }
 
 bool board_stop_line(const struct board *board) { return board->stop_line; }
@@ -58,12 +81,7 @@ void board_save(struct board *board, enum board_record record, const uint8_t *by
     memcpy(board->memory[record].bytes, bytes, (size_t)size);
 }
 
-uint64_t board_random(struct board *board) { // splitmix64 (Steele, Lea, Flood, 2014)
-    uint64_t z = board->random += 0x9e3779b97f4a7c15u;
-    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ z >> 27) * 0x94d049bb133111ebu;
-    return z ^ z >> 31;
-}
+uint64_t board_random(struct board *board) { return splitmix64(&board->random); }
 
 static int32_t floor_divide(int32_t a, int32_t b) { return a / b - (a % b < 0); }
 

@@ -5,6 +5,7 @@
 
 #include "cobs.h"
 #include "device.h"
+#include "oscillator.h"
 
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
@@ -32,10 +33,22 @@ struct encoder_fault {
     int32_t begun;
 };
 
+// Starts of the frames of the bus that the board is at (sim/bus.py).
+struct frame_clock {
+    int64_t period_ps; // 0: no bus
+    int64_t next_us;   // true time of the next start, and what it is later than that
+    int64_t next_ps;
+    uint32_t next_number;
+    uint32_t begun; // there has been one
+    uint64_t random;
+};
+
 struct board {
-    int64_t true_us;      // the simulator's own time; the device sees only its counter
-    int64_t count_offset; // counter at true time 0
-    int32_t drift_ppb;    // of the counter's oscillator
+    int64_t true_us; // the simulator's own time; the device sees only its counter
+    struct oscillator oscillator;
+    struct frame_clock bus;
+    uint32_t sof_number; // of the last start of a frame, 11 bits ...
+    uint32_t sof_count;  // ... and the count at it, as the hardware caught it
     int32_t encoder_count;
     int32_t encoder_offset; // what an incremental encoder does not know
     int32_t duty_q15;
@@ -73,6 +86,9 @@ struct node {
     struct device device;
     struct board board;
 };
+
+// Time goes on.
+void board_advance(struct board *board, int64_t true_us);
 
 // Count of the local oscillator at a true time.
 uint32_t board_count_at(const struct board *board, int64_t true_us);

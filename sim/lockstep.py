@@ -1,8 +1,11 @@
 """The closed loop in lockstep virtual time: plant, devices, network and controller in one process.
 
 True time counts physics steps. The host's clock is true time plus an epoch, the devices' counters
-have offsets and drifts of their own; nobody but this module and the board's oscillator sees true
-time. A tick at time t costs `compute_us`: what it sends leaves at t + compute_us.
+have offsets and drifts of their own; nobody but this module, the network and the board's oscillator
+sees true time. A tick at time t costs `compute_us`: what it sends leaves at t + compute_us.
+
+Ticks lie on knots of the host's clock. When that jumps, the next one is at the first knot that it
+then shows; the task goes on for its duration in true time, and may see a time twice.
 """
 
 from __future__ import annotations
@@ -25,50 +28,70 @@ from headway.devices.session import Session
 from headway.devices.settings import device_settings
 from headway.firmware import _core
 from headway.models.machine import load_machine
+from headway.sim.bus import Bus
 from headway.sim.mishaps import Mishaps
 from headway.sim.network import Mailbox, Wire
 from headway.sim.plant import Plant, start_of
+from headway.sim.profiles import profile_of
 
 TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
 
 
 class SimLink:
-    """The simulated network as the loop sees it."""
+    """The simulated network as the loop sees it, and the host's clock."""
 
     def __init__(
         self, config: Config, plant: Plant, epoch_us: int, seeds: list[np.random.Generator]
     ):
+        """`epoch_us`: the host's time at true time 0; `seeds`: two for each board, and one."""
         n = len(plant.nodes)
         self._cut: set[int] = set()
-        self._plant, self._epoch_us, self._mailbox = plant, epoch_us, Mailbox()
-        self.to_device = [Wire(config.sim.to_device, rng) for rng in seeds[:n]]
-        self.to_host = [Wire(config.sim.to_host, rng) for rng in seeds[n : 2 * n]]
+        self._plant, self._mailbox = plant, Mailbox()
+        self.epoch_us = epoch_us
+        self._stamped: list[tuple[int, int, bytes]] = []  # arrived before the clock jumped
+        to_device, to_host = profile_of(config.sim)
+        frame_us = to_device.frame_us or to_host.frame_us
+        self.bus = Bus.of(frame_us, seeds[2 * n]) if frame_us else None
+        self.to_device = [Wire(to_device, rng, self.bus) for rng in seeds[:n]]
+        self.to_host = [Wire(to_host, rng, self.bus) for rng in seeds[n : 2 * n]]
 
     def count_anew(self) -> None:
         """From here on, frames are counted from zero."""
         for wire in (*self.to_device, *self.to_host):
-            wire.sent = wire.lost = 0
+            wire.sent = wire.lost = wire.duplicated = 0
 
     def cut(self, devices: set[int]) -> None:
         """No packet passes to or from these devices."""
         self._cut = devices
 
+    def step_clock(self, true_us: int, step_us: int) -> None:
+        """The host's clock jumps at a true time. What has arrived by then keeps its stamp."""
+        self.collect()
+        self._stamped = self.receive(true_us + self.epoch_us)
+        self.epoch_us += step_us
+
     def collect(self) -> None:
         """Puts what the devices have sent on its way to the host."""
         for device, node in enumerate(self._plant.nodes):
             for sent_us, packet in node.collect():
-                arrival_us = self.to_host[device].carry(sent_us)
-                if arrival_us is not None and device not in self._cut:
-                    self._mailbox.put(arrival_us + self._epoch_us, device, packet)
+                for arrival_us in self.to_host[device].carry(sent_us, len(packet)):
+                    if device not in self._cut:
+                        self._mailbox.put(arrival_us, device, packet)
 
     def receive(self, now_us: int) -> list[tuple[int, int, bytes]]:
-        return self._mailbox.take(now_us)
+        """(device, received_us, packet) of all that has arrived, in the host's time."""
+        arrived = self._mailbox.take(now_us - self.epoch_us)
+        stamped, self._stamped = self._stamped, []
+        return stamped + [
+            (device, at_us + self.epoch_us, packet) for device, at_us, packet in arrived
+        ]
 
     def send(self, device: int, packet: bytes, now_us: int) -> None:
-        arrival_us = self.to_device[device].carry(now_us - self._epoch_us)
-        if arrival_us is not None and device not in self._cut:
-            self._plant.nodes[device].deliver(arrival_us, packet)
+        """Sends a packet at a time of the host's."""
+        for arrival_us in self.to_device[device].carry(now_us - self.epoch_us, len(packet)):
+            if device not in self._cut:
+                self._plant.nodes[device].deliver(arrival_us, packet)
 
 
 class Lockstep:
@@ -83,15 +106,14 @@ class Lockstep:
         path = (folder / config.machine.model).resolve()
         n = len(config.machine.axes)
         root = np.random.SeedSequence(config.seed)
-        seeds = root.spawn(3 + 2 * n)
+        seeds = root.spawn(4 + 2 * n)
         world, outliers, *wires, nonces = (np.random.default_rng(s) for s in seeds)
         self._outlier_rng = outliers
         reference = Sines(config.task)
         start = start_of(config, reference)
         period_us = config.device.servo_period_us
         self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
-        self.epoch_us = int(world.integers(10**15, 2 * 10**15))
-        self.link = SimLink(config, self.plant, self.epoch_us, wires)
+        self.link = SimLink(config, self.plant, int(world.integers(10**15, 2 * 10**15)), wires)
         remotes = [self._power_up(device, world, nonces) for device in range(n)]
         self.remotes = remotes
         self.reference = reference
@@ -99,7 +121,9 @@ class Lockstep:
         self.loop = Loop(config, load_machine(path), remotes, reference, self.record)
         self.ticks = self.deadline_misses = 0
         self.stopping = False  # set it to end the run early: the last plan brings all to rest
-        self._busy_until_us = 0
+        self._busy_until_us = 0  # true time, as the two below
+        self._last_us = 0  # when the tick after the last one would have been due
+        self._begun_us: int | None = None  # when the task began
         self._mishaps = Mishaps(config, self.plant, self.link) if config.sim.mishaps else None
         self.plant.set_bridge(config.sim.bridge_F)
 
@@ -114,9 +138,20 @@ class Lockstep:
         settings.key = world.bytes(16)
         if config.machine.axes[device].homing is not None:
             self._forget(device, world)
-        drift_ppb = round(world.uniform(-1, 1) * config.sim.clocks.drift_ppm * 1000)
-        self.plant.nodes[device].flash(settings, int(world.integers(2**32)), drift_ppb)
-        self.plant.nodes[device].random = int(nonces.integers(2**63))
+        clocks, node = config.sim.clocks, self.plant.nodes[device]
+        bound_ppb = round(clocks.drift_ppm * 1000)
+        node.flash(
+            settings,
+            count_offset=int(world.integers(2**32)),
+            drift_ppb=round(world.uniform(-1, 1) * bound_ppb),
+            wander_ppb_per_s=round(clocks.wander_ppm_per_s * 1000),
+            drift_bound_ppb=bound_ppb,
+            oscillator_seed=int(world.integers(2**63)),
+        )
+        node.random = int(nonces.integers(2**63))
+        if self.link.bus is not None:
+            bus = self.link.bus
+            node.join_bus(bus.phase_ps, bus.period_ps, int(world.integers(2**63)))
         return Remote(Session(settings.key, nonces), COAST_KNOTS * config.loop.knot_us)
 
     def _forget(self, device: int, world: np.random.Generator) -> None:
@@ -146,36 +181,59 @@ class Lockstep:
 
     def _run_task(self, progress: Callable[[float], None] | None) -> None:
         knot_us = self.config.loop.knot_us
-        now_us = self.end_us = -(-(self.epoch_us + self.plant.true_us) // knot_us) * knot_us
-        end_us: int | None = None
-        while not self.stopping and (end_us is None or now_us < end_us):
-            self._advance_to(now_us - self.epoch_us)
+        now_us = self._next_knot()
+        end_us: int | None = None  # true time
+        while not self.stopping and (end_us is None or now_us - self.epoch_us < end_us):
+            epoch_us = self.epoch_us
+            self._advance_to(now_us - epoch_us)
+            if self.epoch_us != epoch_us:  # the host's clock has jumped: it waits for another knot
+                now_us = self._next_knot()
+                continue
             self._host_tick(now_us)
-            now_us = self.end_us = now_us + knot_us
+            now_us += knot_us
+            self._last_us = now_us - self.epoch_us
             if self.loop.phase is Phase.RUN and end_us is None:
                 self.record.add(("task", now_us, (self.loop.start_us,)))
-                end_us = self.loop.start_us + round(self.config.duration_s * 1e6)
+                self._begun_us = self.loop.start_us - self.epoch_us
+                end_us = self._begun_us + round(self.config.duration_s * 1e6)
                 self.link.count_anew()
             if progress and end_us is not None:
-                progress((now_us - self.loop.start_us) * 1e-6)
+                progress(self.elapsed_s(now_us - self.epoch_us))
+
+    def _next_knot(self) -> int:
+        """The first knot from now on, in the host's time."""
+        knot_us = self.config.loop.knot_us
+        return -(-(self.epoch_us + self.plant.true_us) // knot_us) * knot_us
 
     def _come_to_rest(self) -> None:
         plan_us = self.config.mpc.horizon_us + self.config.loop.margin_us
-        self._advance_to(self.end_us - self.epoch_us + plan_us + round(REST_S * 1e6))
+        rest_us = self._last_us + plan_us + round(REST_S * 1e6)
+        while self.plant.true_us < rest_us:
+            self._advance_to(rest_us)
         self._note_end()
+
+    @property
+    def epoch_us(self) -> int:
+        """The host's time at true time 0, as its clock has it now."""
+        return self.link.epoch_us
 
     def task_s(self, system_us: int) -> float:
         """Time of the task at a system time."""
         return (system_us - self.loop.start_us) * 1e-6
 
+    def elapsed_s(self, true_us: int) -> float:
+        """True time since the task began, whatever the host's clock says; -1 before."""
+        return -1.0 if self._begun_us is None else (true_us - self._begun_us) * 1e-6
+
     def _host_tick(self, now_us: int) -> None:
         sim = self.config.sim
         running = self.loop.phase is Phase.RUN
-        task_s = self.task_s(now_us) if running else -1.0
+        true_us = now_us - self.epoch_us
+        task_s = self.elapsed_s(true_us) if running else -1.0
         kill_s = np.inf if sim.kill_host_at_s is None else sim.kill_host_at_s
         if task_s >= kill_s:
             return
-        if now_us < self._busy_until_us:  # the last tick is still at work: this one is skipped
+        if true_us < self._busy_until_us:  # the last tick is still at work: this one is skipped
             self.deadline_misses += running
             return
         compute_us = sim.compute_us
@@ -185,8 +243,9 @@ class Lockstep:
         self.loop.read(self.link, now_us)
         self._corrupt(self.loop.samples, now_us)
         tick, outbox = self.loop.tick(now_us)
-        sent_us = self._busy_until_us = now_us + compute_us
-        if running and self.task_s(sent_us) >= kill_s:  # it died at work
+        sent_us = now_us + compute_us
+        self._busy_until_us = true_us + compute_us
+        if running and task_s + compute_us * 1e-6 >= kill_s:  # it died at work
             return
         in_time = self.loop.write(self.link, outbox, sent_us)
         self.deadline_misses += running and not in_time
@@ -207,11 +266,14 @@ class Lockstep:
                 self.record.add(("outlier", now_us, (i, sample.time_us, sample.axis, position)))
 
     def _advance_to(self, true_us: int) -> None:
-        """Steps the plant to the first step at or after `true_us`, noting the truth each ms."""
-        step_us, plant = self.plant.step_us, self.plant
+        """Steps the plant to the first step at or after `true_us`, noting the truth each ms; or to
+        a jump of the host's clock, if that comes first."""
+        step_us, plant, epoch_us = self.plant.step_us, self.plant, self.epoch_us
         while plant.true_us < true_us:
             if self._mishaps and self.loop.phase is Phase.RUN:
-                self._mishaps.happen(plant.true_us, self.task_s(plant.true_us + self.epoch_us))
+                self._mishaps.happen(plant.true_us, self.elapsed_s(plant.true_us))
+                if self.epoch_us != epoch_us:
+                    break
             next_truth_us = (plant.true_us // TRUTH_US + 1) * TRUTH_US
             target_us = min(next_truth_us, true_us)
             plant.step(-(-(target_us - plant.true_us) // step_us))

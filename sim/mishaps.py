@@ -1,4 +1,4 @@
-"""What goes wrong in the simulated world: the boards' and the wires' mishaps, as configured."""
+"""What goes wrong in the simulated world: mishaps of boards, wires and clocks, as configured."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from headway.sim.plant import Plant
 ENCODER_DEFECTS = {"encoder_stuck": 1, "encoder_reversed": 2, "encoder_spike": 3}
 
 
-class Cuttable(Protocol):
-    """A network whose wires can be cut."""
+class Network(Protocol):
+    """The wires, and the host's clock at their end."""
 
     def cut(self, devices: set[int]) -> None:
         """No packet passes to or from these devices."""
+
+    def step_clock(self, true_us: int, step_us: int) -> None:
+        """The host's clock jumps."""
 
 
 class Mishaps:
     """Lets each mishap begin and end in its time."""
 
-    def __init__(self, config: Config, plant: Plant, network: Cuttable) -> None:
+    def __init__(self, config: Config, plant: Plant, network: Network) -> None:
         joints = [axis.joint for axis in config.machine.axes]
         every = range(len(joints))
         self._plant, self._network = plant, network
@@ -43,6 +46,9 @@ class Mishaps:
             self._under_way.remove((mishap, devices))
 
     def _begin(self, mishap: Mishap, devices: list[int], true_us: int) -> None:
+        if mishap.kind == "host_clock_step":
+            self._network.step_clock(true_us, mishap.step_us)
+            return
         for device in devices:
             node = self._plant.nodes[device]
             if mishap.kind == "emergency_stop":
@@ -54,6 +60,8 @@ class Mishaps:
                 self._network.cut(self._cut)
             elif mishap.kind == "supply_sag":
                 node.feed_V = mishap.supply_V
+            elif mishap.kind == "clock_step":
+                node.step_clock(mishap.step_us)
             else:
                 node.break_encoder(ENCODER_DEFECTS[mishap.kind], true_us)
 

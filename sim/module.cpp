@@ -25,6 +25,32 @@ struct Node {
     node *operator->() const { return reinterpret_cast<node *>(state.data()); }
 };
 
+using Times = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Counts = nb::ndarray<nb::numpy, uint32_t, nb::ndim<1>>;
+
+static oscillator new_oscillator(int64_t offset, int32_t drift_ppb, int32_t wander_ppb_per_s,
+                                 int32_t drift_bound_ppb, uint64_t seed) {
+    oscillator o{};
+    if (!oscillator_begin(&o, offset, drift_ppb, wander_ppb_per_s, drift_bound_ppb, seed))
+        throw std::invalid_argument(
+            "an oscillator's drift lies within its bound, bound and wander from 0 to 1000000 ppb");
+    return o;
+}
+
+static uint32_t count_at(oscillator &o, int64_t true_us) {
+    oscillator_seek(&o, true_us);
+    return (uint32_t)(uint64_t)oscillator_read(&o, true_us);
+}
+
+static Counts counts_at(oscillator &o, Times true_us) {
+    size_t size = true_us.shape(0);
+    uint32_t *counts = new uint32_t[size];
+    nb::capsule owner(counts, [](void *p) noexcept { delete[] static_cast<uint32_t *>(p); });
+    for (size_t i = 0; i < size; i++)
+        counts[i] = count_at(o, true_us.data()[i]);
+    return Counts(counts, {size}, owner);
+}
+
 // A power cycle: what is in memory stays, all else is gone.
 static void restart(Node &n) {
     for (parcel &p : n->board.inbox)
@@ -39,9 +65,10 @@ static void restart(Node &n) {
 }
 
 // As a programmer does: settings into the memory, beside what is there, and a power cycle.
-static void flash(Node &n, const device_settings &settings, int64_t count_offset, int32_t drift) {
-    n->board.count_offset = count_offset;
-    n->board.drift_ppb = drift;
+static void flash(Node &n, const device_settings &settings, int64_t count_offset, int32_t drift_ppb,
+                  int32_t wander_ppb_per_s, int32_t drift_bound_ppb, uint64_t seed) {
+    n->board.oscillator =
+        new_oscillator(count_offset, drift_ppb, wander_ppb_per_s, drift_bound_ppb, seed);
     store_save_settings(&n->board, &settings);
     restart(n);
 }
@@ -69,6 +96,27 @@ static void break_encoder(Node &n, int32_t defect, int64_t since_us) {
     if (defect < ENCODER_GOOD || defect > ENCODER_SPIKE)
         throw std::invalid_argument("no such defect of an encoder");
     n->board.encoder_fault = encoder_fault{defect, since_us, 0, false};
+}
+
+static void join_bus(Node &n, int64_t phase_ps, int64_t period_ps, uint64_t seed) {
+    int64_t ps_per_us = 1000000, now_us = n->board.true_us;
+    if (phase_ps < 0 || period_ps <= 0 || now_us > INT64_MAX / ps_per_us / 2)
+        throw std::invalid_argument(
+            "a bus has a phase from 0 and a period above 0; it is joined in the first 50 days");
+    int64_t frame = 0; // the first that starts after now
+    if (now_us * ps_per_us >= phase_ps)
+        frame = (now_us * ps_per_us - phase_ps) / period_ps + 1;
+    int64_t next_ps = phase_ps + frame * period_ps;
+    n->board.bus = frame_clock{
+        period_ps, next_ps / ps_per_us, next_ps % ps_per_us, (uint32_t)(frame % 2048), false, seed};
+}
+
+static nb::object frame_start(Node &n) {
+    uint16_t number;
+    uint32_t count_us;
+    if (!board_frame_start(&n->board, &number, &count_us))
+        return nb::none();
+    return nb::make_tuple(number, count_us);
 }
 
 static int32_t checked_port(int32_t port) {
@@ -113,6 +161,20 @@ NB_MODULE(_board, m) {
     m.attr("RECORD_FAULTS_A") = (int)RECORD_FAULTS_A;
     m.attr("RECORD_MAX") = BOARD_RECORD_MAX;
     m.attr("NODE_NUMBERS") = (sizeof(node) + sizeof(double) - 1) / sizeof(double);
+    m.attr("OSCILLATOR_PPB_MAX") = OSCILLATOR_PPB_MAX;
+    nb::class_<oscillator>(m, "Oscillator")
+        .def(
+            "__init__",
+            [](oscillator *o, int64_t offset, int32_t drift_ppb, int32_t wander_ppb_per_s,
+               int32_t drift_bound_ppb, uint64_t seed) {
+                new (o) oscillator(
+                    new_oscillator(offset, drift_ppb, wander_ppb_per_s, drift_bound_ppb, seed));
+            },
+            "offset"_a = 0, "drift_ppb"_a = 0, "wander_ppb_per_s"_a = 0,
+            "drift_bound_ppb"_a = OSCILLATOR_PPB_MAX, "seed"_a = 0)
+        .def("count_at", &count_at, "true_us"_a)
+        .def("counts", &counts_at, "true_us"_a)
+        .def("step", &oscillator_step, "true_us"_a, "step_us"_a);
     nb::class_<Node>(m, "Node")
         .def(
             "__init__",
@@ -126,14 +188,24 @@ NB_MODULE(_board, m) {
         .def("memory", &memory_of, "record"_a)
         .def("set_memory", &set_memory, "record"_a, "bytes"_a)
         .def("break_encoder", &break_encoder, "defect"_a, "since_us"_a)
-        .def("flash", &flash, "settings"_a, "count_offset"_a = 0, "drift_ppb"_a = 0)
+        .def("flash", &flash, "settings"_a, "count_offset"_a = 0, "drift_ppb"_a = 0,
+             "wander_ppb_per_s"_a = 0, "drift_bound_ppb"_a = OSCILLATOR_PPB_MAX,
+             "oscillator_seed"_a = 0)
+        .def("join_bus", &join_bus, "phase_ps"_a, "period_ps"_a, "seed"_a = 0)
+        .def_prop_ro("sof", &frame_start)
+        .def(
+            "step_clock",
+            [](Node &n, int32_t step_us) {
+                oscillator_step(&n->board.oscillator, n->board.true_us, step_us);
+            },
+            "step_us"_a)
         .def("deliver", &deliver, "arrival_us"_a, "packet"_a, "port"_a = BOARD_HOST)
         .def("collect", &collect, "port"_a = BOARD_HOST)
         .def("setpoint", &setpoint, "time_us"_a)
         .def(
             "poll",
             [](Node &n, int64_t true_us, int32_t encoder_count) {
-                n->board.true_us = true_us;
+                board_advance(&n->board, true_us);
                 board_set_encoder(&n->board, encoder_count);
                 device_poll(&n->device, &n->board);
             },

@@ -123,7 +123,7 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
     board_set_encoder(&node->board, (int32_t)mju_clip(count, -2e9, 2e9));
     charge(&node->board, m->opt.timestep);
-    node->board.true_us += (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
+    board_advance(&node->board, node->board.true_us + (int64_t)floor(m->opt.timestep * 1e6 + 0.5));
     device_poll(&node->device, &node->board);
 }
 

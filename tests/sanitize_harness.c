@@ -615,8 +615,10 @@ static void flash(struct node *node, struct host *host, bool sane) {
     for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++)
         host->key[i] = settings.key[i] = (uint8_t)random32();
     node->board.true_us = sane ? (int64_t)below(2) * 1700000000000000 : between(0, 1LL << 50);
-    node->board.count_offset = between(-(1LL << 40), 1LL << 40);
-    node->board.drift_ppb = (int32_t)between(-100000, 100000);
+    int32_t wander_ppb_per_s = node->board.true_us == 0 ? (int32_t)below(1000) : 0; // else it seeks
+    PROMISE(oscillator_begin(&node->board.oscillator, between(-(1LL << 40), 1LL << 40),
+                             (int32_t)between(-100000, 100000), wander_ppb_per_s, 100000,
+                             random32()));
     node->board.random = random32();
     node->board.supply_V = 24;
     PROMISE(store_save_settings(&node->board, &settings));
@@ -670,7 +672,10 @@ static void live(struct tally *tally, bool sane) {
     uint64_t motion_us = 0;
     uint32_t number = 0;
     for (int32_t n = 0; n < POLLS / LIVES; n++) {
-        node.board.true_us += (int64_t)(sane || below(1000) ? below(250) : below(1000000));
+        int64_t passed_us = sane || below(1000) ? below(250) : below(1000000);
+        board_advance(&node.board, node.board.true_us + passed_us);
+        if (below(100000) == 0)
+            oscillator_step(&node.board.oscillator, node.board.true_us, (int32_t)random32());
         motion_us += 1;
         if (sane)
             node.board.encoder_count = (int32_t)(motion_us / 50 % 100) - 50;

@@ -338,7 +338,7 @@ def test_one_dead_device_takes_the_others_to_rest():
     def cut(now_us: int) -> None:
         if lockstep.ticks == 250:
             for wires in (lockstep.link.to_device, lockstep.link.to_host):
-                wires[1].carry = lambda sent_us: None
+                wires[1].carry = lambda sent_us, size_bytes: []
         tick(now_us)
 
     lockstep._host_tick = cut

@@ -220,7 +220,7 @@ KEYS = [
         "like none",
         "compute_us: 2500",
         "zzz: 1",
-        ("33:3", "sim.zzz: unknown key; sim has plant, to_device, to_host, clocks, compute_us"),
+        ("33:3", "sim.zzz: unknown key; sim has plant, network, to_device, to_host, clocks"),
     ),
     edit(
         "given in two units",
@@ -505,6 +505,34 @@ OVERRIDES = [
         "seed=", "seed: must be a whole number from 0 to 9223372036854775807 (given: nothing)"
     ),
     override("seed=[", "is not YAML: a value or a closing bracket is missing"),
+    override(
+        "sim.network=token-ring", "sim.network: must be channels, usb, usb-iid, lan, wifi or aw"
+    ),
+    override(
+        "sim={network: usb, to_host: {loss: 0.5}}",
+        "network: is usb, which says what the wires do, and to_host is given as well: leave to_ho",
+    ),
+    override(
+        "sim={to_host: {frame_us: 125}, to_device: {frame_us: 1000}}",
+        "to_device.frame_us: is 1000 and to_host.frame_us 125; a bus has one frame: make them",
+    ),
+    override(
+        "sim.to_host={slot_us: 5}", "slot_us: lies in the frame: it must be less than frame_us"
+    ),
+    override(
+        "sim.to_host={tail: 0.1}", "tail: is a share of packets, and tail_us how late they are"
+    ),
+    override(
+        "sim.to_host.bandwidth_kbit_per_s=12",
+        "sim.to_host.bandwidth_kbit_per_s: unknown key; did you mean `bandwidth_bit_per_s`?",
+    ),
+    override(
+        "sim.mishaps=[{kind: clock_step, at_s: 1}]", "a clock_step needs a step_us other than 0"
+    ),
+    override(
+        "sim.mishaps=[{kind: host_clock_step, at_s: 1, step_us: 5, joint: q1}]",
+        "a host_clock_step happens to the host: leave joint out",
+    ),
     override("sim.to_device={los: 0.5}", "sim.to_device.los: unknown key; did you mean `loss`?"),
     override(
         "machine.model=none.xml", "machine.model: there is no file", "starts at the config's fol"

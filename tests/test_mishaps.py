@@ -1,9 +1,11 @@
 """What goes wrong around a machine that moves: whatever it is, all axes come to rest, and stay."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rig import device_settings
 
 from headway.cli.main import main
 from headway.configs.load import ConfigError, load_config
@@ -14,7 +16,9 @@ from headway.controller.tick import DeviceError
 from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
 from headway.models.machine import load_machine
+from headway.sim import _board
 from headway.sim.lockstep import Lockstep
+from headway.sim.mishaps import Mishaps
 
 ROOT = Path(__file__).resolve().parent.parent
 AT_S = 1.3  # both joints of arm2 move fast
@@ -104,6 +108,84 @@ def test_an_overload_is_no_broken_encoder() -> None:
     assert said == "" or "following error" in said
 
 
+class Boards:
+    """Stands in for the plant and the network."""
+
+    def __init__(self) -> None:
+        self.nodes = [_board.Node(np.zeros(_board.NODE_NUMBERS)) for _ in range(2)]
+        self.steps: list[tuple[int, int]] = []
+        for node in self.nodes:
+            node.flash(device_settings())
+
+    def cut(self, devices: set[int]) -> None: ...
+
+    def step_clock(self, true_us: int, step_us: int) -> None:
+        self.steps.append((true_us, step_us))
+
+    def at(self, true_us: int) -> list[int]:
+        for node in self.nodes:
+            node.poll(true_us, 0)
+        return [node.system_us(true_us) - true_us for node in self.nodes]  # as nobody has set them
+
+
+@pytest.mark.parametrize(("joint", "jumps"), [("q2", [0, -700]), (None, [-700, -700])])
+def test_a_counter_jumps(joint: str | None, jumps: list[int]) -> None:
+    where = f", joint: {joint}" if joint else ""
+    change = f"sim.mishaps=[{{kind: clock_step, at_s: 1, step_us: -700{where}}}]"
+    boards = Boards()
+    mishaps = Mishaps(load_config(ROOT / "configs/arm2.yaml", [change]), boards, boards)  # type: ignore[arg-type]
+    assert boards.at(5_000_000) == [0, 0]
+    mishaps.happen(5_000_000, 0.99)
+    assert boards.at(5_001_000) == [0, 0]
+    mishaps.happen(5_001_000, 1.0)
+    assert boards.at(5_001_250) == jumps
+    mishaps.happen(5_002_000, 1.01)
+    assert boards.at(5_002_000) == jumps  # once
+
+
+@pytest.mark.parametrize("step_us", [-30_000, -1000, 1000, 30_000])
+def test_the_hosts_clock_jumps(step_us: int) -> None:
+    """Ticks lie on knots before and after, and none is left out; stamps jump as well."""
+    change = f"sim.mishaps=[{{kind: host_clock_step, at_s: 0.2, step_us: {step_us}}}]"
+    lockstep = Lockstep(
+        load_config(ROOT / "configs/arm2.yaml", [change, "duration_s=0.3"]), ROOT / "configs"
+    )
+    epoch_us, true_us, host_us, stamps_us = lockstep.epoch_us, [], [], []
+    receive, tick = lockstep.link.receive, lockstep._host_tick
+
+    def note_receive(now_us: int) -> list[tuple[int, int, bytes]]:
+        packets = receive(now_us)
+        stamps_us.extend((lockstep.plant.true_us, at_us) for _, at_us, _ in packets)
+        return packets
+
+    def note_tick(now_us: int) -> None:
+        true_us.append(lockstep.plant.true_us)
+        host_us.append(now_us)
+        tick(now_us)
+
+    lockstep.link.receive, lockstep._host_tick = note_receive, note_tick  # type: ignore[method-assign]
+    with contextlib.suppress(DeviceError):  # what devices and loop make of it is not at stake here
+        lockstep.run()
+    knot_us = lockstep.config.loop.knot_us
+    assert lockstep.epoch_us == epoch_us + step_us
+    epochs_us = np.array(host_us) - np.array(true_us)  # of each tick, but for physics steps
+    after = (
+        epochs_us > epoch_us + step_us / 2 if step_us > 0 else epochs_us < epoch_us + step_us / 2
+    )
+    assert np.abs(epochs_us - epoch_us - step_us * after).max() <= lockstep.plant.step_us
+    first = int(np.argmax(after))
+    assert after[first:].all() and not after[:first].any()
+    assert abs(lockstep.elapsed_s(true_us[first]) - 0.2) < 0.004096 + 0.001
+    assert all(now_us % knot_us == 0 for now_us in host_us)
+    assert np.diff(true_us).max() <= knot_us + 1250  # a ms for the mishap to be noticed
+    late = [
+        at_us - seen_us - epoch_us
+        for seen_us, at_us in stamps_us
+        if seen_us > true_us[first] + 5000
+    ]
+    assert late and max(late) <= step_us + 250 and min(late) > step_us - 8000
+
+
 @pytest.mark.parametrize("method", ["index", "switch"])
 @pytest.mark.parametrize("backwards", ["false", "true"])
 def test_a_machine_that_has_to_be_homed(method: str, backwards: str) -> None:
@@ -141,6 +223,7 @@ def test_a_search_without_a_mark_ends() -> None:
         ("sim.mishaps=[{kind: fire, at_s: 1}]", "kind"),
         ("device.torque_gap=zero", "would drop q1, q2"),
         ("device.position_gap=hold", "position_gap"),
+        ("sim.mishaps=[{kind: clock_step, at_s: 1}]", "needs a step_us other than 0"),
     ],
 )
 def test_mistakes(change: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -336,8 +336,7 @@ def shifted_run(true_us: int, epoch_us: int) -> str:
     for node, count in zip(lock.plant.nodes, counts, strict=True):
         node.poll(true_us, round(count))
     assert lock.plant.true_us == true_us
-    lock.epoch_us += epoch_us
-    lock.link._epoch_us += epoch_us
+    lock.link.epoch_us += epoch_us
     lock.run()
     arrays = lock.record.arrays()
     channels = "truth_position", "truth_velocity", "servo_torque_tq", "now_estimate", "commit_s"

@@ -13,6 +13,7 @@ from headway.controller.loop import plan_points
 from headway.devices.axis import AxisUnits, gain_limits, position_limits, torque_limits
 from headway.devices.core import PLAN_POINTS_MAX, TRACK_POSITION, TRACK_TORQUE
 from headway.devices.widest import fits_a_frame
+from headway.sim.profiles import profile_of
 
 RUNGE_KUTTA_STABLE = 2.78  # decay rate times step: Hairer, Wanner, Solving ODEs II, section IV.2
 
@@ -30,9 +31,7 @@ def _margin(subject: Subject) -> Rule:
     """A plan arrives before the knot at which it begins; with a knot to spare a lost one is made
     good by the next."""
     loop, sim = subject.config.loop, subject.config.sim
-    wire = sim.to_device
-    late_us = wire.delay_us + wire.jitter_us + (wire.reorder_us if wire.reorder else 0)
-    needed_us = sim.compute_us + late_us
+    needed_us = sim.compute_us + profile_of(sim).to_device.usual_most_us
     margin_us = loop.margin_knots * loop.knot_us
     losses = max(0, (margin_us - needed_us) // loop.knot_us)
     return at_least(
