@@ -88,6 +88,10 @@ class Sync(Section):
     """No frame takes less time to a board: where it is known, it narrows the interval."""
     to_host_least_us: Delay = 0
     """No frame takes less time to the host."""
+    dither_us: Annotated[int, Field(ge=0, le=10_000)] = 1_000
+    """One STATUS in four leaves up to so much later, at random: on a bus with frames of its own a
+    board's stamps would keep step with them otherwise.
+    """
     one_bus: bool = False
     """All boards hang on one USB host controller and see the same starts of frames: then they agree
     with each other by these.

@@ -70,7 +70,7 @@ def device_settings(axis: Axis, device: Device, loop: Loop, sync: Sync) -> _core
     settings.set_limits(_core.TRACK_TORQUE, torque_limits(axis, units))
     settings.monitor = monitor_settings(axis, device, loop)
     settings.home = home_settings(axis, device, units)
-    settings.sync = sync_settings(sync)
+    settings.sync, settings.dither_us = sync_settings(sync), sync.dither_us
     policies = _core.GAP_POLICIES
     settings.set_gap_policy(_core.TRACK_POSITION, policies.index(device.position_gap))
     settings.set_gap_policy(_core.TRACK_TORQUE, policies.index(device.torque_gap))

@@ -303,6 +303,7 @@ class DeviceSettings:
     brake_periods: int
     stop_us: int
     sync_lost_us: int
+    dither_us: int
     torque_step_tq: int
     knot_periods: Scale
     offset_count: int

@@ -196,6 +196,11 @@ int64_t bounds_middle_q16(const struct bounds *bounds) {
     return (bounds->lower.value_q16 - bounds->upper.value_q16) >> 1;
 }
 
+int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32) {
+    int64_t least_q32 = bounds->lower.skew_q32, most_q32 = -bounds->upper.skew_q32;
+    return (int32_t)(skew_q32 < least_q32 ? least_q32 : skew_q32 > most_q32 ? most_q32 : skew_q32);
+}
+
 int32_t bounds_skew_q32(const struct bounds *bounds) {
     return (int32_t)((bounds->lower.skew_q32 - bounds->upper.skew_q32) >> 1);
 }

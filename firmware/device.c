@@ -137,6 +137,16 @@ static void follow(struct device *device, const struct board *board, uint32_t co
         happen(device, EVENT_RESTED);
 }
 
+// A status leaves as its knot begins; now and then a little later, at random: servo periods may keep
+// step with a bus, and then each status would wait for its turn there as long as any other.
+void device_report(struct device *device, struct board *board) {
+    uint32_t count_us = board_count_us(board);
+    if (!device->status_waits || (int32_t)(count_us - device->status_us) < 0)
+        return;
+    device->status_waits = false;
+    outbox_status(device, board, count_us);
+}
+
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
                        uint32_t late_us) {
     clock_advance(&device->clock, count_us);
@@ -152,8 +162,12 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     neighbours_ask(device, board, count_us);
     if (device_knot_at(device, time_us) != device->status_knot) {
         device->status_knot = device_knot_at(device, time_us);
-        outbox_status(device, board, count_us);
+        device->status_waits = true;
+        device->status_us = count_us;
+        if (device->status_knot % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
+            device->status_us += (uint32_t)(board_random(board) % device->settings.dither_us);
     }
+    device_report(device, board);
 }
 
 // Dates a mark as soon as it is seen: later the clock would be another one.
@@ -179,6 +193,7 @@ void device_poll(struct device *device, struct board *board) {
         inbox_take(device, board, packet, size, port, arrived_us, board_count_us(board));
     uint32_t count_us = board_count_us(board);
     watch_bus(device, board);
+    device_report(device, board);
     int32_t late_us = (int32_t)(count_us - device->next_servo_us);
     if (late_us >= 0) {
         // Missed periods are not made up for: what counts them counts time, such as the brake's.

@@ -25,6 +25,7 @@
 #include "track.h"
 
 #define DEVICE_COAST_KNOTS 5       // without an accepted plan for longer, RUNNING becomes COAST
+#define DEVICE_DITHER_EVERY 4      // one status in so many leaves a little later
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_REST_PQ (1 << 10)   // at rest: measured speed below a count per servo period
@@ -53,7 +54,9 @@ struct device {
     uint32_t boots;
     uint32_t next_servo_us; // local count of the next servo period
     uint32_t periods;
-    int64_t status_knot;   // knot of the last status sent
+    int64_t status_knot;   // knot of the last status
+    bool status_waits;     // it has not left yet ...
+    uint32_t status_us;    // ... and does at this count
     int64_t accepted_knot; // knot in which the last plan was accepted
     int64_t start_knot;    // of the first plan
     int32_t encoder_count; // as the board has it
@@ -77,6 +80,10 @@ void device_configure(struct device *device, const struct device_settings *setti
 
 // To be called at least every 250 us: takes what arrived, runs the servo when it is due.
 void device_poll(struct device *device, struct board *board);
+
+// Sends a status that waits for its moment. device_poll does so as well; in between it may be called
+// as often as a board likes.
+void device_report(struct device *device, struct board *board);
 
 // The axis' position, from the encoder's last count and the offset.
 void device_locate(struct device *device);

@@ -443,6 +443,7 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("brake_periods", &device_settings::brake_periods)
         .def_rw("stop_us", &device_settings::stop_us)
         .def_rw("sync_lost_us", &device_settings::sync_lost_us)
+        .def_rw("dither_us", &device_settings::dither_us)
         .def_rw("torque_step_tq", &device_settings::torque_step_tq)
         .def_rw("knot_periods", &device_settings::knot_periods)
         .def_rw("offset_count", &device_settings::offset_count)

@@ -149,6 +149,7 @@ static void visit(struct fields *f, struct device_settings *settings, bool with_
     field_u16(f, &settings->brake_periods);
     field_u32(f, &settings->stop_us);
     field_u32(f, &settings->sync_lost_us);
+    field_u16(f, &settings->dither_us);
     field_i32(f, &settings->torque_step_tq);
     field_scale(f, &settings->knot_periods);
     field_i32(f, &settings->offset_count);

@@ -23,6 +23,7 @@ struct device_settings {
     uint16_t brake_periods;    // until the brake has engaged or let go, in servo periods
     uint32_t stop_us;          // from a fault or the emergency line to the brake, at most
     uint32_t sync_lost_us;     // without a clock sample
+    uint16_t dither_us;        // one status in four leaves up to so much later
     int32_t torque_step_tq;    // per servo period, of the torque during a stop ramp
     struct scale knot_periods; // servo periods in a knot interval
     int32_t offset_count;      // axis' position minus the encoder's, where the encoder is absolute

@@ -3,8 +3,9 @@
 #include <string.h>
 
 #define STAMP_US 1            // stamps are whole microseconds, rounded down
-#define STEER_SHIFT 1         // an offset fades with a time constant of 2^17 us
+#define STEER_GAIN 4          // an offset fades with a time constant of 2^14 us
 #define STEER_MAX_Q32 1288490 // and is slewed in at 300 ppm at most
+#define SKEW_SHIFT 22         // what is left of it for 2^22 us is the oscillator's skew
 #define STEP_Q16 (8 << 16)    // a clock that may step does so beyond it
 #define FAR_US (1LL << 40)    // offsets beyond it are as wrong as any
 #define NANOSECOND_Q16 66     // of a microsecond, rounded up
@@ -149,6 +150,11 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
         bounds_prove(&sync->bounds, &limits, false, near_q16(least_us - STAMP_US), ticks_us) &&
         bounds_prove(&sync->bounds, &limits, true, near_q16(least_us + mark->width_us), ticks_us);
     sync->excluded += !taken;
+    if (taken) {
+        sync->marked = true;
+        sync->mark_us = ticks_us;
+        sync->mark_q16 = near_q16(least_us) + mark->width_us * (1 << 15) - STAMP_US * (1 << 15);
+    }
     return taken;
 }
 
@@ -165,8 +171,29 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
                      limits_of(settings).drift_q32, &clock->rate_q32);
         return;
     }
-    int32_t steer_q32 = fixed_clamp64(behind_q16 >> STEER_SHIFT, STEER_MAX_Q32);
-    clock->rate_q32 = fixed_clamp(bounds_skew_q32(&sync->bounds) + steer_q32, CLOCK_RATE_MAX_Q32);
+    // Where the set is wide the middle of its skews says little, but the middle of its offsets moves
+    // as the oscillator does: an integral finds the skew, within what is possible.
+    int32_t steer_q32 = fixed_clamp64(behind_q16 * STEER_GAIN, STEER_MAX_Q32);
+    int64_t elapsed_us = clock->ticks_us - sync->steered_us;
+    if (!sync->settled)
+        sync->skew_q32 = bounds_skew_q32(&sync->bounds);
+    else if (steer_q32 < STEER_MAX_Q32 && steer_q32 > -STEER_MAX_Q32)
+        sync->skew_q32 += (int32_t)((steer_q32 * elapsed_us) >> SKEW_SHIFT);
+    sync->skew_q32 = bounds_nearest_skew_q32(&sync->bounds, sync->skew_q32);
+    sync->steered_us = clock->ticks_us;
+    clock->rate_q32 = fixed_clamp(sync->skew_q32 + steer_q32, CLOCK_RATE_MAX_Q32);
+}
+
+// Where the clock is steered to: the middle of what is proven here. Or, where there is a mark, the
+// middle of what all boards on the bus have proven together: then they agree with each other.
+static int64_t target_q16(const struct sync *sync, int64_t ticks_us) {
+    const struct bounds *bounds = &sync->bounds;
+    int64_t age_us = ticks_us - sync->mark_us;
+    if (!sync->marked || age_us > SYNC_MARK_US)
+        return bounds_middle_q16(bounds);
+    int64_t middle_q16 = sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16);
+    int64_t lower_q16 = bounds_lower_q16(bounds), upper_q16 = bounds_upper_q16(bounds);
+    return middle_q16 < lower_q16 ? lower_q16 : middle_q16 > upper_q16 ? upper_q16 : middle_q16;
 }
 
 // To the middle of what is proven; returns whether that was a step.
@@ -174,7 +201,7 @@ static bool follow(struct sync *sync, const struct sync_settings *settings,
                    struct headway_clock *clock, bool may_step) {
     const struct bounds *bounds = &sync->bounds;
     int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
-    int64_t behind_q16 = bounds_middle_q16(bounds) - offset_q16;
+    int64_t behind_q16 = target_q16(sync, clock->ticks_us) - offset_q16;
     bool steps = may_step && (behind_q16 > STEP_Q16 || behind_q16 < -STEP_Q16);
     if (steps) {
         offset_q16 += behind_q16;

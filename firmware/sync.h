@@ -22,6 +22,7 @@
 #define SYNC_WANDER_MAX_PPB_S 60000
 #define SYNC_LIMIT_MAX_US 1000000
 #define SYNC_OUTCAST 64           // samples excluded in a row: then it is us who are wrong
+#define SYNC_MARK_US 200000       // for so long a mark is steered to
 #define SYNC_ERROR_OPEN INT32_MAX // of an error: not known
 
 enum sync_method {
@@ -58,6 +59,11 @@ struct sync {
     int32_t least_error_ns, most_error_ns; // own clock minus the other one; at the ends: unknown
     uint32_t id;                           // of this board; 0: it is none among boards
     uint32_t lineage;                      // whose time it is, among boards
+    bool marked;                           // there is a mark ...
+    int64_t mark_us;                       // ... at these ticks ...
+    int64_t mark_q16;   // ... and the middle of what all boards know of the offset then
+    int64_t steered_us; // ticks
+    int32_t skew_q32;   // of the own oscillator, as steering has found it
     struct bounds bounds;
     struct average average;
 };

@@ -22,6 +22,7 @@ from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.reference import Sines
 from headway.controller.tick import DeviceError, Phase
+from headway.devices.bus import Bus as Marks
 from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
 from headway.devices.session import Session
@@ -114,6 +115,7 @@ class Lockstep:
         period_us = config.device.servo_period_us
         self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
         self.link = SimLink(config, self.plant, int(world.integers(10**15, 2 * 10**15)), wires)
+        self._marks = Marks(n) if config.sync.one_bus else None
         remotes = [self._power_up(device, world, nonces) for device in range(n)]
         self.remotes = remotes
         self.reference = reference
@@ -152,7 +154,8 @@ class Lockstep:
         if self.link.bus is not None:
             bus = self.link.bus
             node.join_bus(bus.phase_ps, bus.period_ps, int(world.integers(2**63)))
-        return Remote(Session(settings.key, nonces), COAST_KNOTS * config.loop.knot_us)
+        patience_us = COAST_KNOTS * config.loop.knot_us
+        return Remote(Session(settings.key, nonces), patience_us, device, self._marks)
 
     def _forget(self, device: int, world: np.random.Generator) -> None:
         """An encoder that counts from where it is at power-up; its marks are at their places."""

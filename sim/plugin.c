@@ -23,6 +23,7 @@ enum motor {
 #define BRAKE_STIFFNESS 400.0 // times the brake's torque, per radian: it holds within 2.5 mrad
 #define BRAKE_DAMPING 4.0     // times the brake's torque, s/rad
 #define BRAKE_US 15000        // until it has engaged, or let go
+#define REPORT_US 50          // from one chance to send a status to the next
 #define CHOPPER_OHM 8.0
 
 static int actuator_of(const mjModel *m, int instance) {
@@ -123,7 +124,12 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
     board_set_encoder(&node->board, (int32_t)mju_clip(count, -2e9, 2e9));
     charge(&node->board, m->opt.timestep);
-    board_advance(&node->board, node->board.true_us + (int64_t)floor(m->opt.timestep * 1e6 + 0.5));
+    int64_t end_us = node->board.true_us + (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
+    while (node->board.true_us + REPORT_US < end_us) {
+        board_advance(&node->board, node->board.true_us + REPORT_US);
+        device_report(&node->device, &node->board);
+    }
+    board_advance(&node->board, end_us);
     device_poll(&node->device, &node->board);
 }
 
