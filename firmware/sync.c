@@ -5,7 +5,9 @@
 #define STAMP_US 1            // stamps are whole microseconds, rounded down
 #define STEER_GAIN 4          // an offset fades with a time constant of 2^14 us
 #define STEER_MAX_Q32 1288490 // and is slewed in at 300 ppm at most
-#define SKEW_SHIFT 22         // what is left of it for 2^22 us is the oscillator's skew
+#define SKEW_SHIFT 22         // what is left of it for 2^22 us is the oscillator's skew ...
+#define SKEW_SHIFT_FIRST 20   // ... at first, for ...
+#define SKEW_FIRST_US 8000000 // ... so long, 2^20 us are enough
 #define STEP_Q16 (8 << 16)    // a clock that may step does so beyond it
 #define FAR_US (1LL << 40)    // offsets beyond it are as wrong as any
 #define NANOSECOND_Q16 66     // of a microsecond, rounded up
@@ -175,10 +177,12 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
     // as the oscillator does: an integral finds the skew, within what is possible.
     int32_t steer_q32 = fixed_clamp64(behind_q16 * STEER_GAIN, STEER_MAX_Q32);
     int64_t elapsed_us = clock->ticks_us - sync->steered_us;
+    bool early = clock->ticks_us - sync->wide_us < SKEW_FIRST_US;
     if (!sync->settled)
         sync->skew_q32 = bounds_skew_q32(&sync->bounds);
     else if (steer_q32 < STEER_MAX_Q32 && steer_q32 > -STEER_MAX_Q32)
-        sync->skew_q32 += (int32_t)((steer_q32 * elapsed_us) >> SKEW_SHIFT);
+        sync->skew_q32 +=
+            (int32_t)((steer_q32 * elapsed_us) >> (early ? SKEW_SHIFT_FIRST : SKEW_SHIFT));
     sync->skew_q32 = bounds_nearest_skew_q32(&sync->bounds, sync->skew_q32);
     sync->steered_us = clock->ticks_us;
     clock->rate_q32 = fixed_clamp(sync->skew_q32 + steer_q32, CLOCK_RATE_MAX_Q32);
