@@ -108,15 +108,17 @@ class Lockstep:
         n = len(config.machine.axes)
         root = np.random.SeedSequence(config.seed)
         seeds = root.spawn(4 + 2 * n)
-        world, outliers, *wires, nonces = (np.random.default_rng(s) for s in seeds)
+        world, outliers, *wires, nonces, clocks = (np.random.default_rng(s) for s in seeds)
         self._outlier_rng = outliers
         reference = Sines(config.task)
         start = start_of(config, reference)
         period_us = config.device.servo_period_us
         self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
-        self.link = SimLink(config, self.plant, int(world.integers(10**15, 2 * 10**15)), wires)
+        self.link = SimLink(
+            config, self.plant, int(world.integers(10**15, 2 * 10**15)), [*wires, clocks]
+        )
         self._marks = Marks(n) if config.sync.one_bus else None
-        remotes = [self._power_up(device, world, nonces) for device in range(n)]
+        remotes = [self._power_up(device, world, nonces, clocks) for device in range(n)]
         self.remotes = remotes
         self.reference = reference
         self.record = record or Memory()
@@ -130,7 +132,11 @@ class Lockstep:
         self.plant.set_bridge(config.sim.bridge_F)
 
     def _power_up(
-        self, device: int, world: np.random.Generator, nonces: np.random.Generator
+        self,
+        device: int,
+        world: np.random.Generator,
+        nonces: np.random.Generator,
+        wander: np.random.Generator,
     ) -> Remote:
         """Flashes a board with its settings, a key and an oscillator of its own."""
         config = self.config
@@ -148,12 +154,12 @@ class Lockstep:
             drift_ppb=round(world.uniform(-1, 1) * bound_ppb),
             wander_ppb_per_s=round(clocks.wander_ppm_per_s * 1000),
             drift_bound_ppb=bound_ppb,
-            oscillator_seed=int(world.integers(2**63)),
+            oscillator_seed=int(wander.integers(2**63)),
         )
         node.random = int(nonces.integers(2**63))
         if self.link.bus is not None:
             bus = self.link.bus
-            node.join_bus(bus.phase_ps, bus.period_ps, int(world.integers(2**63)))
+            node.join_bus(bus.phase_ps, bus.period_ps, int(wander.integers(2**63)))
         patience_us = COAST_KNOTS * config.loop.knot_us
         return Remote(Session(settings.key, nonces), patience_us, device, self._marks)
 
