@@ -69,6 +69,7 @@ class Node:
     index_at: int
     switch_from: int
     switch_to: int
+    switch_every: int
     random: int
     @property
     def dropped(self) -> int: ...

@@ -50,6 +50,7 @@ struct board {
     double feed_V;        // what the supply would be without load
     int32_t stop_line;    // the emergency line is open
     int32_t switch_from, switch_to; // true counts at which the home switch is on
+    int32_t switch_every;           // true counts from one such place to the next, 0: there is one
     int32_t home_switch;
     int32_t index_every; // true counts from one index pulse to the next, 0: none
     int32_t index_at;    // true count of one of them

@@ -173,6 +173,9 @@ NB_MODULE(_board, m) {
             "switch_to", [](Node &n) { return n->board.switch_to; },
             [](Node &n, int32_t value) { n->board.switch_to = value; })
         .def_prop_rw(
+            "switch_every", [](Node &n) { return n->board.switch_every; },
+            [](Node &n, int32_t value) { n->board.switch_every = value; })
+        .def_prop_rw(
             "random", [](Node &n) { return n->board.random; },
             [](Node &n, uint64_t value) { n->board.random = value; })
         .def_prop_ro("dropped", [](Node &n) { return n->board.dropped; })

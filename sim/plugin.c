@@ -121,7 +121,9 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
     struct node *node = node_of(m, d, instance);
     mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
-    board_set_encoder(&node->board, (int32_t)mju_clip(count, -2e9, 2e9));
+    // Modulo 2^32, as an encoder's counter has it. Up to 2^53 counts can be told apart.
+    count = mju_clip(count, -9e15, 9e15);
+    board_set_encoder(&node->board, (int32_t)(uint32_t)(uint64_t)(int64_t)count);
     charge(&node->board, m->opt.timestep);
     node->board.true_us += (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
     device_poll(&node->device, &node->board);
