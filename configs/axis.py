@@ -157,23 +157,30 @@ class _Axis(Section):
         return (high - low) / 8 if given is None else given
 
     @model_validator(mode="after")
-    def _ranges(self) -> Self:
+    def _ends(self) -> Self:
+        mistakes = self._wrong_ends()
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
+        return self
+
+    def _wrong_ends(self) -> list[str]:
+        """What is wrong with the range and the soft limits."""
         axis: Any = self
         low, high = axis.position_min, axis.position_max
         if low >= high:
-            raise ValueError(f"{self.key('position_min')} must be below {self.key('position_max')}")
+            return [f"{self.key('position_min')} must be below {self.key('position_max')}"]
         soft_low = low if axis.soft_min is None else axis.soft_min
         soft_high = high if axis.soft_max is None else axis.soft_max
         if not low <= soft_low < soft_high <= high:
-            raise ValueError(
+            return [
                 f"{self.key('soft_min')} must be below {self.key('soft_max')}, and both within "
                 f"{self.key('position_min')} and {self.key('position_max')}"
-            )
-        return self
+            ]
+        return []
 
 
 def _ends_by_kind(schema: dict[str, Any]) -> None:
-    """What `_ranges` says of a rotary axis, for editors."""
+    """What `_wrong_ends` says of a rotary axis, for editors."""
     ends = ["position_min_rad", "position_max_rad", "soft_min_rad", "soft_max_rad"]
     marks = {"properties": {"method": {"enum": ["index", "switch"]}}}
     schema["if"] = {"properties": {"continuous": {"const": True}}, "required": ["continuous"]}
@@ -222,14 +229,11 @@ class RotaryAxis(_Axis):
     homing: RotaryHoming | None = None
     """How the board finds out where the axis is. Default: the encoder knows."""
 
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
+    def _wrong_ends(self) -> list[str]:
         ends = ("position_min", "position_max", "soft_min", "soft_max")
         if not self.continuous:
-            missing = [end for end in ends[:2] if getattr(self, end) is None]
-            if missing:
-                raise ValueError("; ".join(map(self._missing, missing)))
-            return super()._ranges()
+            missing = [self._missing(end) for end in ends[:2] if getattr(self, end) is None]
+            return missing or super()._wrong_ends()
         mistakes = [
             f"{self.key(end)} is for axes that end somewhere: remove it, or continuous: true"
             for end in ends
@@ -240,9 +244,7 @@ class RotaryAxis(_Axis):
                 "homing.method is stop, but an axis with continuous: true has no mechanical stop: "
                 "use index or switch"
             )
-        if mistakes:
-            raise ValueError("; ".join(mistakes))
-        return self
+        return mistakes
 
     def _missing(self, end: str) -> str:
         key, value = self.key(end), "-3" if end == "position_min" else "3"

@@ -318,8 +318,8 @@ class Config(Section):
             key, position = f"sim.start_rad_or_m.{index}", start[index]
         if sine.rate != 0 and not axis.continuous:
             return [
-                f"task.axes.{index}.rate_rad_per_s would take {axis.joint} beyond its range: remove "
-                f"it, or give machine.axes.{index} continuous: true instead of position limits"
+                f"task.axes.{index}.rate_rad_per_s would take {axis.joint} out of its range: "
+                f"remove it, or give machine.axes.{index} continuous: true instead of a range"
             ]
         if axis.continuous and abs(position) * axis.counts_per_unit >= COUNTS:
             most = COUNTS / axis.counts_per_unit

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.devices.odometer import Odometer
 from headway.devices.session import Session
 from headway.firmware import _core
 
@@ -64,9 +65,11 @@ class Remote:
         self.number = 0
         self.status: _core.Status | None = None
         self.frames_bad = 0
+        self._odometer = Odometer()
 
-    def receive(self, packet: bytes, received_us: int) -> _core.Status | None:
-        """Opens a packet; returns the status, or None for what is not one (counted)."""
+    def receive(self, packet: bytes, received_us: int) -> list[tuple[int, int]] | None:
+        """Opens a packet; returns a status' samples (time, count without bounds), or None for what
+        is no status (counted)."""
         opened = self._session.open(packet)
         status = None
         if isinstance(opened, str) and not self._session.established:
@@ -83,7 +86,7 @@ class Remote:
             self._echoes.append((status.sent_us, received_us))
             self.status = status
             self._settle(status)
-        return status
+        return self._odometer.read(status.samples, status.homed)
 
     def _settle(self, status: _core.Status) -> None:
         if self._command and status.command_number >= self._command.number:
