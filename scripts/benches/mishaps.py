@@ -65,9 +65,7 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
     rests = [float(time_s[np.flatnonzero(np.abs(velocity[:, a]) > STILL)[-1]]) for a in axes]
     rested = time_s >= max(rests) + SETTLED_S
     room = min(
-        float(
-            min(position[:, a].min() - axis.position_min, axis.position_max - position[:, a].max())
-        )
+        float(min(position[:, a].min() - axis.lowest, axis.highest - position[:, a].max()))
         for a, axis in enumerate(config.machine.axes)
     )
     struck = next((i for i, axis in enumerate(config.machine.axes) if axis.joint == joint), 0)
