@@ -1197,11 +1197,11 @@ class Watcher:
     def step(self, s: dict[str, int]) -> Found:
         """One period; the first of the sternest."""
         moved = self.count is not None and self.count != s["count"]
-        found = [self.encoder(s)]
+        late = s["power"] and s["late_us"] > self.allowed["late_us"]
+        found = [(LATE, s["late_us"], self.allowed["late_us"]) if late else None]
+        found.append(self.encoder(s))
         if s["driven"]:
             found.append(self.stuck(s, moved))
-        if s["power"] and s["late_us"] > self.allowed["late_us"]:
-            found.append((LATE, s["late_us"], self.allowed["late_us"]))
         found += [self.supply(s), self.heat(s)]
         if s["driven"]:
             found.append(self.motion(s))
