@@ -51,7 +51,8 @@ static int32_t load(const struct board *board, enum board_record first, uint8_t 
     return size;
 }
 
-// Returns the generation under which the payload is there now, 0 if it is not.
+// Returns the generation under which the payload is there now, 0 if it is not. It fits a record, as its
+// callers' own bytes do, with what lies around it.
 static uint32_t save(struct board *board, enum board_record first, const uint8_t *payload,
                      int32_t size) {
     struct place places[2];
@@ -59,14 +60,12 @@ static uint32_t save(struct board *board, enum board_record first, const uint8_t
     uint32_t last = which < 0 ? 0 : places[which].generation;
     int32_t into = which < 0 ? !places[0].empty : !which;
     uint32_t step = places[into].empty || places[into].good ? 1 : 2;
-    if (size < 0 || last > UINT32_MAX - step)
+    if (last > UINT32_MAX - step)
         return 0;
     struct writer w = {places[0].bytes, BOARD_RECORD_MAX, 0, false};
     write_uint(&w, last + step, GENERATION_BYTES);
     write_bytes(&w, payload, size);
     write_uint(&w, crc_of(w.bytes, w.size), CRC_BYTES);
-    if (w.failed)
-        return 0;
     board_save(board, first + (enum board_record)into, w.bytes, w.size);
     struct place *written = &places[1];
     look(board, first + (enum board_record)into, written);

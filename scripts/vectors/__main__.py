@@ -15,6 +15,7 @@ from random import Random
 
 import codec
 import gate
+import guard
 import handshake
 import payload
 import settings
@@ -43,6 +44,7 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "gaps": stop.gaps,
     "homing": stop.homing,
     "monitors": watch.monitors,
+    "guards": guard.guards,
     "settings": settings.settings,
     "stores": settings.stores,
 }

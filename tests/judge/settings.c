@@ -1,7 +1,7 @@
 // Replays settings-* and store-*: what a board is set up with, and what it remembers.
 #include "settings.h"
-#include "board.h" // whose memory alone is here
 #include "judge.h"
+#include "rack.h" // whose memory alone is here
 #include "sinks.h"
 #include "store.h"
 #include <string.h>
@@ -150,17 +150,6 @@ static void replay_settings_decode(void) {
     else
         say("malformed");
 }
-
-struct memory {
-    int32_t size;
-    uint8_t bytes[BOARD_RECORD_MAX];
-};
-
-struct board {
-    struct memory memory[RECORDS];
-    int32_t kept;    // bytes of the next save that the memory takes
-    int32_t flipped; // the byte of it whose lowest bit the memory takes wrongly; -1: none
-};
 
 static struct board board;
 
