@@ -155,6 +155,7 @@ def _bounds() -> Iterator[str]:
         yield valid(low_pq=low, high_pq=high)
     for size in (0, 1, 25, 26):
         yield valid(name=b"x" * size)
+    yield valid(name=b"x" * 25 + b"\x80")  # the end of a longer one, whatever a char is
     for bounded in (0, 1):
         for continuous in (0, 1):
             yield valid(bounded=bounded, position=[continuous, -900, 900, 500, 60, 50])
