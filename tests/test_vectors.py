@@ -1743,6 +1743,7 @@ class Memory:
         kept = bytearray(data[: int(v.given.get("kept", 512))])
         if "flipped" in v.given:
             kept[v.number("flipped")] ^= 1
+        kept += bytes(int(v.given.get("grown", 0)))
         self.places[into] = bytes(kept)
         return f"record={into} saved={data.hex()} ", generation if kept == data else 0
 

@@ -12,6 +12,7 @@ struct memory {
 struct board {
     struct memory memory[RECORDS];
     int32_t kept;    // bytes of the next save that the memory takes
+    int32_t grown;   // bytes that it adds
     int32_t flipped; // the byte of it whose lowest bit the memory takes wrongly; -1: none
     uint32_t count_us;
     bool line_open, power, brake;

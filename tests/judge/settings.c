@@ -166,6 +166,7 @@ void board_save(struct board *of, enum board_record record, const uint8_t *bytes
     struct memory *memory = &of->memory[record];
     memory->size = size < of->kept ? size : of->kept;
     memcpy(memory->bytes, bytes, (size_t)memory->size);
+    memory->size += of->grown;
     if (of->flipped >= 0)
         memory->bytes[of->flipped] ^= 1;
     say_number("record", record);
@@ -181,6 +182,7 @@ static void replay_store_record(void) {
 }
 
 static void take_kept(void) {
+    board.grown = is_given("grown") ? (int32_t)given("grown") : 0;
     board.kept = is_given("kept") ? (int32_t)given("kept") : BOARD_RECORD_MAX;
     board.flipped = is_given("flipped") ? (int32_t)given("flipped") : -1;
 }
