@@ -116,6 +116,11 @@ def _integral() -> Iterator[str]:
             yield _step(position_pq=position)
             yield _step(torque_tq=0)
             yield _step()
+    for torque in (1, 0, -1):  # by the speed's voltage, whatever the torque is
+        for position in (300, -300):
+            yield line("servo", ki=[1, 0], emf_mV=[1, 0], supply_duty=[1, 0], integrate=1)
+            yield _step(torque_tq=torque, velocity_pq=40_000)
+            yield _step(position_pq=position)
     # by the voltage alone
     for torque in (32766, 32767, 32768, -32767, -32768, 40_000, -40_000):
         yield line("servo", ki=[1, 0], resistance_mV=[1, 0], supply_duty=[1, 0], integrate=1)
