@@ -5,7 +5,8 @@
 // millisecond, on the core that runs device_poll. The interrupt may come between any two of its
 // instructions, device_boot's included, and runs to its end before they go on. A load or store of an
 // aligned field of up to 32 bits is never torn, so the guard reads no wider ones: power, state,
-// next_servo_us, stop_count_us. What it misses of a change that is under way it sees a call later.
+// next_servo_us, stop_count_us. What the main loop has written is in memory by its next call of the
+// board, which is compiled apart. What the guard misses of a change under way it sees a call later.
 // Settings are written as a whole, but with the output off; with the output off it reads none. It
 // writes its own struct alone; there the main loop writes `verdict`, in one store, to release.
 //
