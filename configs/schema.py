@@ -188,9 +188,10 @@ class Mishap(Section):
         "encoder_reversed",
         "encoder_spike",
         "supply_sag",
+        "firmware_hangs",
     ]
     """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
-    stands still, counts backwards or jumps, the supply sags."""
+    stands still, counts backwards or jumps, the supply sags, a board's main loop stands still."""
     at_s: NotNegative
     """When in the task."""
     for_s: Positive = LARGE

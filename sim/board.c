@@ -9,6 +9,12 @@ uint32_t board_count_at(const struct board *board, int64_t true_us) {
     return (uint32_t)(uint64_t)(board->count_offset + true_us + drift_us);
 }
 
+void node_run(struct node *node) {
+    device_guard(&node->device, &node->board);
+    if (!node->board.hung)
+        device_poll(&node->device, &node->board);
+}
+
 uint32_t board_count_us(const struct board *board) { return board_count_at(board, board->true_us); }
 
 int32_t board_encoder_count(const struct board *board) { return board->encoder_count; }

@@ -58,6 +58,7 @@ struct board {
     int32_t indexed;     // an index pulse waits to be read
     int32_t index_count;
     struct encoder_fault encoder_fault;
+    int32_t hung; // the main loop: only interrupts run
     uint64_t random;
     uint32_t dropped; // packets that found the inbox or outbox full
     struct memory memory[RECORDS];
@@ -73,6 +74,9 @@ struct node {
     struct device device;
     struct board board;
 };
+
+// What a board runs by itself at one instant: the guard's timer and, unless it hangs, the main loop.
+void node_run(struct node *node);
 
 // Count of the local oscillator at a true time.
 uint32_t board_count_at(const struct board *board, int64_t true_us);

@@ -54,6 +54,8 @@ class Mishaps:
                 self._network.cut(self._cut)
             elif mishap.kind == "supply_sag":
                 node.feed_V = mishap.supply_V
+            elif mishap.kind == "firmware_hangs":
+                node.hung = True
             else:
                 node.break_encoder(ENCODER_DEFECTS[mishap.kind], true_us)
 
@@ -67,3 +69,5 @@ class Mishaps:
                 self._network.cut(self._cut)
             elif mishap.kind == "supply_sag":
                 node.feed_V = self._feed_V[device]
+            elif mishap.kind == "firmware_hangs":
+                node.hung = False

@@ -1,7 +1,7 @@
 // MuJoCo engine plugin: a geared brushed DC motor with encoder and brake, driven by the firmware.
 //
-// One actuator is one board. mj_step alone runs plant and servos: after each step the device is
-// polled with its new encoder count; in the next one the motor turns its duty into torque. All
+// One actuator is one board. mj_step alone runs plant and servos: after each step the board
+// runs with its new encoder count; in the next one the motor turns its duty into torque. All
 // state, the device's included, lives in mjData's plugin_state. The motor's numbers are in the
 // actuator's `user` array (enum motor), where a plant's parameters can be varied.
 #include <math.h>
@@ -126,7 +126,7 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     board_set_encoder(&node->board, (int32_t)(uint32_t)(uint64_t)(int64_t)count);
     charge(&node->board, m->opt.timestep);
     node->board.true_us += (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
-    device_poll(&node->device, &node->board);
+    node_run(node);
 }
 
 mjPLUGIN_LIB_INIT(headway_servo) {
