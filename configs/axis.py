@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, WrapValidator, model_validator
+from pydantic import ConfigDict, Field, WrapValidator, model_validator
 
 from headway.configs.section import Finite, NotNegative, Positive, Section
 
@@ -124,6 +124,24 @@ class _Axis(Section):
     """Without torque it would fall: the board never drops its torque."""
 
     @property
+    def lowest(self) -> float:
+        """Of its positions, SI: minus infinity if it is continuous."""
+        axis: Any = self
+        return -math.inf if axis.continuous else axis.position_min
+
+    @property
+    def highest(self) -> float:
+        """Of its positions, SI: infinity if it is continuous."""
+        axis: Any = self
+        return math.inf if axis.continuous else axis.position_max
+
+    @property
+    def poses(self) -> tuple[float, float]:
+        """Positions between which it has every pose: its range, or one turn. SI."""
+        axis: Any = self
+        return (-math.pi, math.pi) if axis.continuous else (axis.position_min, axis.position_max)
+
+    @property
     def deceleration(self) -> float:
         """Of the board's own stop: SI."""
         axis: Any = self
@@ -135,33 +153,57 @@ class _Axis(Section):
         """The largest following error: SI."""
         axis: Any = self
         given: float | None = axis.following_limit
-        return (axis.position_max - axis.position_min) / 8 if given is None else given
+        low, high = self.poses
+        return (high - low) / 8 if given is None else given
 
     @model_validator(mode="after")
-    def _ranges(self) -> Self:
+    def _ends(self) -> Self:
+        mistakes = self._wrong_ends()
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
+        return self
+
+    def _wrong_ends(self) -> list[str]:
+        """What is wrong with the range and the soft limits."""
         axis: Any = self
         low, high = axis.position_min, axis.position_max
         if low >= high:
-            raise ValueError(f"{self.key('position_min')} must be below {self.key('position_max')}")
+            return [f"{self.key('position_min')} must be below {self.key('position_max')}"]
         soft_low = low if axis.soft_min is None else axis.soft_min
         soft_high = high if axis.soft_max is None else axis.soft_max
         if not low <= soft_low < soft_high <= high:
-            raise ValueError(
+            return [
                 f"{self.key('soft_min')} must be below {self.key('soft_max')}, and both within "
                 f"{self.key('position_min')} and {self.key('position_max')}"
-            )
-        return self
+            ]
+        return []
+
+
+def _ends_by_kind(schema: dict[str, Any]) -> None:
+    """What `_wrong_ends` says of a rotary axis, for editors."""
+    ends = ["position_min_rad", "position_max_rad", "soft_min_rad", "soft_max_rad"]
+    marks = {"properties": {"method": {"enum": ["index", "switch"]}}}
+    schema["if"] = {"properties": {"continuous": {"const": True}}, "required": ["continuous"]}
+    schema["then"] = {"properties": {**{end: {"type": "null"} for end in ends}, "homing": marks}}
+    schema["else"] = {
+        "properties": {end: {"type": "number"} for end in ends[:2]},
+        "required": ends[:2],
+    }
 
 
 class RotaryAxis(_Axis):
     """A hinge with its motor, encoder and board."""
 
+    model_config = ConfigDict(json_schema_extra=_ends_by_kind)
+
     counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
     """Encoder counts per turn of the joint."""
-    position_min: Finite = Field(alias="position_min_rad")
-    """The lowest position that any plan may have."""
-    position_max: Finite = Field(alias="position_max_rad")
-    """The highest."""
+    continuous: bool = False
+    """It turns for ever: there are no position limits, and no soft ones."""
+    position_min: Finite | None = Field(default=None, alias="position_min_rad")
+    """The lowest position that any plan may have. Required unless continuous."""
+    position_max: Finite | None = Field(default=None, alias="position_max_rad")
+    """The highest. Required unless continuous."""
     soft_min: Finite | None = Field(default=None, alias="soft_min_rad")
     """Plans keep above it where they can."""
     soft_max: Finite | None = Field(default=None, alias="soft_max_rad")
@@ -175,7 +217,7 @@ class RotaryAxis(_Axis):
     tenth of the acceleration limit."""
     following_limit: Positive | None = Field(default=None, alias="following_limit_rad")
     """The board stops when the axis is further from where it should be. Default: an eighth of
-    the range."""
+    the range, or of a turn."""
     effort_limit: Positive = Field(alias="torque_limit_Nm")
     """The most that the servo asks of the motor, at the joint."""
     coulomb: NotNegative = Field(default=0.0, alias="coulomb_Nm")
@@ -186,6 +228,30 @@ class RotaryAxis(_Axis):
     """The gains of the board's servo."""
     homing: RotaryHoming | None = None
     """How the board finds out where the axis is. Default: the encoder knows."""
+
+    def _wrong_ends(self) -> list[str]:
+        ends = ("position_min", "position_max", "soft_min", "soft_max")
+        if not self.continuous:
+            missing = [self._missing(end) for end in ends[:2] if getattr(self, end) is None]
+            return missing or super()._wrong_ends()
+        mistakes = [
+            f"{self.key(end)} is for axes that end somewhere: remove it, or continuous: true"
+            for end in ends
+            if getattr(self, end) is not None
+        ]
+        if self.homing is not None and self.homing.method == "stop":
+            mistakes.append(
+                "homing.method is stop, but an axis with continuous: true has no mechanical stop: "
+                "use index or switch"
+            )
+        return mistakes
+
+    def _missing(self, end: str) -> str:
+        key, value = self.key(end), "-3" if end == "position_min" else "3"
+        return (
+            f"{key} missing: a number, in rad; for example `{key}: {value}` (or say continuous: "
+            "true, if it turns for ever)"
+        )
 
     @property
     def unit(self) -> str:
@@ -236,6 +302,11 @@ class LinearAxis(_Axis):
     """How the board finds out where the axis is. Default: the encoder knows."""
 
     @property
+    def continuous(self) -> bool:
+        """A slide ends somewhere."""
+        return False
+
+    @property
     def unit(self) -> str:
         return "m"
 
@@ -249,21 +320,13 @@ class LinearAxis(_Axis):
         return self.counts_per_m
 
 
-class RotarySine(Section):
-    """offset + amplitude sin(2 pi harmonic frequency t + phase), on a rotary axis."""
-
-    offset: Finite = Field(default=0.0, alias="offset_rad")
-    """The middle."""
-    amplitude: Finite = Field(alias="amplitude_rad")
-    """How far it goes to either side."""
+class _Sine(Section):
+    offset: Finite
+    amplitude: Finite
     harmonic: Positive = 1.0
     """Times the task's frequency."""
     phase_rad: Finite = 0.0
     """At the start of the task."""
-
-    @property
-    def unit(self) -> str:
-        return "rad"
 
     @property
     def start(self) -> float:
@@ -271,13 +334,33 @@ class RotarySine(Section):
         return self.offset + self.amplitude * math.sin(self.phase_rad)
 
 
-class LinearSine(RotarySine):
-    """The same on a linear axis."""
+class RotarySine(_Sine):
+    """offset + rate t + amplitude sin(2 pi harmonic frequency t + phase), on a rotary axis."""
+
+    offset: Finite = Field(default=0.0, alias="offset_rad")
+    """The middle."""
+    amplitude: Finite = Field(alias="amplitude_rad")
+    """How far it goes to either side."""
+    rate: Finite = Field(default=0.0, alias="rate_rad_per_s")
+    """A constant speed that is added: a continuous axis turns on and on."""
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+
+class LinearSine(_Sine):
+    """offset + amplitude sin(2 pi harmonic frequency t + phase), on a linear axis."""
 
     offset: Finite = Field(default=0.0, alias="offset_m")
     """The middle."""
     amplitude: Finite = Field(alias="amplitude_m")
     """How far it goes to either side."""
+
+    @property
+    def rate(self) -> float:
+        """A slide ends somewhere."""
+        return 0.0
 
     @property
     def unit(self) -> str:
@@ -317,6 +400,8 @@ def _either(rotary: type[Section], linear: type[Section]) -> WrapValidator:
             return value
         given = _given(value) if isinstance(value, dict) else set[str]()
         turning, sliding = sorted(given & of_rotary), sorted(given & of_linear)
+        if turning == ["continuous"] and sliding:
+            raise ValueError("continuous is for rotary axes alone: a slide ends, so remove it")
         if turning and sliding:
             raise ValueError(
                 f"{turning[0]} is a key of rotary axes and {sliding[0]} of linear ones: "

@@ -18,6 +18,8 @@ from headway.configs.section import (
     Share,
 )
 
+COUNTS = 2**31 - 1  # of an encoder from zero, either way
+
 
 class Machine(Section):
     """The model file and the axes that move it; the order of axes is the order of devices."""
@@ -109,7 +111,7 @@ class Sync(Section):
 
 
 class Task(Section):
-    """What to do: follow a sine on each axis."""
+    """What to do: follow a sine on each axis, turning on and on where that is asked for."""
 
     kind: Literal["sines"]
     """The kind of task."""
@@ -257,10 +259,11 @@ class Mishap(Section):
         "supply_sag",
         "clock_step",
         "host_clock_step",
+        "firmware_hangs",
     ]
     """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
     stands still, counts backwards or jumps, the supply sags, a board's counter or the host's clock
-    jumps."""
+    jumps, a board's main loop stands still."""
     at_s: NotNegative
     """When in the task."""
     for_s: Positive = LARGE
@@ -421,10 +424,21 @@ class Config(Section):
         key, position = f"task.axes.{index}", sine.start
         if start is not None:
             key, position = f"sim.start_rad_or_m.{index}", start[index]
-        if axis.position_min <= position <= axis.position_max:
+        if sine.rate != 0 and not axis.continuous:
+            return [
+                f"task.axes.{index}.rate_rad_per_s would take {axis.joint} out of its range: "
+                f"remove it, or give machine.axes.{index} continuous: true instead of a range"
+            ]
+        if axis.continuous and abs(position) * axis.counts_per_unit >= COUNTS:
+            most = COUNTS / axis.counts_per_unit
+            return [
+                f"{key}: {axis.joint} would start at {position:g} {axis.unit}, where its encoder "
+                f"has no count: begin between {-most:.6g} and {most:.6g} {axis.unit}"
+            ]
+        if axis.lowest <= position <= axis.highest:
             return []
         return [
             f"{key}: {axis.joint} would start at {position:g} {axis.unit}, outside of its range, "
-            f"position_min_{axis.unit} {axis.position_min:g} to "
-            f"position_max_{axis.unit} {axis.position_max:g}"
+            f"position_min_{axis.unit} {axis.lowest:g} to "
+            f"position_max_{axis.unit} {axis.highest:g}"
         ]

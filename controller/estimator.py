@@ -35,8 +35,9 @@ START_WALK_S = 0.2  # of the disturbance's random walk: what is known of it at a
 class Tracks(Protocol):
     """What the devices execute, as far as the host knows."""
 
-    def at(self, times_us: NDArray[np.int64]) -> Array:
-        """[r, r', f, Kp, Kd + c] at system times (m,): (m, 5n) in rad, Nm and seconds."""
+    def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
+        """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
+        seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,8 @@ class Estimator:
         ends = np.array(stops, dtype=np.int64)
         starts = np.concatenate(([start_us], ends[:-1]))
         grid = np.stack((starts, (starts + ends) // 2, ends), axis=1)
-        values = tracks.at(grid.ravel()).reshape(len(ends), 3, -1)
+        near = self._filter.x[: self._n]
+        values = tracks.at(grid.ravel(), near).reshape(len(ends), 3, -1)
         for dt_us, value, here in zip((ends - starts).tolist(), values, asked_for, strict=True):
             if dt_us > 0:
                 self._filter.dt_s, self._filter.tracks = dt_us * 1e-6, value

@@ -126,8 +126,7 @@ class Gains:
             self._step[sink] = np.array([float(limits.difference_max) for limits in of_sink])
         self._schedule: Schedule | None = None
         if loop.gains == "scheduled":
-            low = np.array([axis.position_min for axis in axes])
-            high = np.array([axis.position_max for axis in axes])
+            low, high = np.array([axis.poses for axis in axes]).T
             self._schedule = Schedule(machine, self._law, low, high)
         if self.sinks:
             for axis, u, limits in zip(axes, units, self.limits, strict=True):

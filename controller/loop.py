@@ -28,7 +28,7 @@ from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
 from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder
 from headway.devices import core
-from headway.devices.axis import AxisUnits, position_limits, torque_limits
+from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
 from headway.devices.link import Link
 from headway.devices.remote import Points, Remote
 from headway.devices.stop import moves, why
@@ -99,12 +99,10 @@ class Loop:
         """Takes in all that has arrived."""
         packets, good = link.receive(now_us), []
         for device, received_us, packet in packets:
-            status = self._remotes[device].receive(packet, received_us)
-            good.append(status is not None)
-            if status is None:
-                continue
+            samples = self._remotes[device].receive(packet, received_us)
+            good.append(samples is not None)
             scale = self._units[device].unit_per_count
-            for time_us, count in status.samples:
+            for time_us, count in samples or ():
                 self.samples.append(Sample(time_us, device, count * scale))
         self._recorder.add(("received", now_us, (packets, good)))
 
@@ -149,7 +147,7 @@ class Loop:
             # The brakes let go at the start knot: till then the position is known, nothing moves.
             self.start_us = start.knot * self._knot_us
             self.estimator.reset(self.start_us, start.position)
-            self._reference = Entry(self._task, start.position, 0.0, ENTRY_S)
+            self._enter(start.position, 0.0)
             rows = start.position, np.zeros_like(start.position), start.torque
             rest = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rows))
             self._last = (start.knot, rest)
@@ -227,7 +225,14 @@ class Loop:
         knot, motion = self._last
         if commit_knot - knot >= self._horizon:
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
-            self._reference = Entry(self._task, motion.position[-1], start_s, ENTRY_S)
+            self._enter(motion.position[-1], start_s)
+
+    def _enter(self, position: Array, start_s: float) -> None:
+        """From rest at a position onto the task's reference; how often a continuous axis has turned
+        before makes no difference."""
+        way = position - self._task.at(np.array([start_s]))[0][0]
+        turns = whole_turns(self._config.machine.axes, way)
+        self._reference = Entry(self._task, position, start_s, ENTRY_S, turns)
 
     def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
         commit_us = commit_knot * self._knot_us - self.start_us
@@ -238,9 +243,10 @@ class Loop:
         position, velocity, _ = self._reference.at(
             (commit_us + self._node_us.astype(np.float64)) * 1e-6
         )
-        tracks = self._commitment.at(np.array([commit_knot * self._knot_us]))
         n = self._prediction.n
-        torque = self._prediction.law.torque(tick.commit.state(n)[None], tracks)[0]
+        state = tick.commit.state(n)
+        tracks = self._commitment.at(np.array([commit_knot * self._knot_us]), state[:n])
+        torque = self._prediction.law.torque(state[None], tracks)[0]
         guess = self._guess(commit_knot)
         tick.solution = self._mpc.solve(guess, tick.commit, np.hstack((position, velocity)), torque)
         return tick.solution.motion

@@ -3,7 +3,8 @@
 Real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005): the dynamics are
 linearized along the trajectory that the last tick's encoded tracks give, and one QP is solved in
 the deviations from it. Variables: states x_0..x_N (2n each), motor torques u_0..u_N at the nodes (n
-each; linear in between), one slack per axis for the soft position limits.
+each; linear in between), one slack per axis for the soft position limits, of which a continuous
+axis has none.
 
     minimize    sum w_i |x_i - ref_i|^2_Q + |u_{i+1} - u_i|^2_S + |u_0 - committed|^2_R
                 + sum over the last two nodes |u_i - holding|^2_R + soft |s|^2
@@ -51,7 +52,7 @@ class Limits:
     torque: Array  # (N+1, n), by node
     velocity: Array
     acceleration: Array
-    soft_min: Array
+    soft_min: Array  # without bounds on continuous axes
     soft_max: Array
     approach_s: Array  # T
 
@@ -59,8 +60,8 @@ class Limits:
     def of(cls, config: Config) -> Limits:
         """The plan's limits: shares of the device's, and the soft position limits."""
         axes, mpc = config.machine.axes, config.mpc
-        low = [a.position_min if a.soft_min is None else a.soft_min for a in axes]
-        high = [a.position_max if a.soft_max is None else a.soft_max for a in axes]
+        low = [a.lowest if a.soft_min is None else a.soft_min for a in axes]
+        high = [a.highest if a.soft_max is None else a.soft_max for a in axes]
         room = np.array([ROOM[a.unit] for a in axes])
         # Nearly all of the torque at the plan's start, less from its middle on: what is kept back
         # lets the next ticks correct what went wrong (constraint tightening: Chisci, Rossiter,
@@ -90,6 +91,7 @@ class Ocp:
     def __init__(self, config: Config, limits: Limits) -> None:
         mpc = config.mpc
         n = self.n = len(config.machine.axes)
+        self._bounded = np.flatnonzero([not axis.continuous for axis in config.machine.axes])
         count = self.intervals = mpc.intervals
         self.limits = limits
         self.interval_s = mpc.horizon_us * 1e-6 / count
@@ -124,7 +126,7 @@ class Ocp:
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
-        self._row_scale[self._soft_row :] = np.tile(soft, 2 * self.intervals)
+        self._row_scale[self._soft_row :] = np.tile(soft[self._bounded], 2 * self.intervals)
         columns = sp.diags_array(self.column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
@@ -190,12 +192,13 @@ class Ocp:
             put(row, state(i + 1) + n, np.eye(n))
             row += n
         self._soft_row = row
+        own = np.eye(n)[self._bounded]
         for sign in (1.0, -1.0):
             for i in range(1, count + 1):
-                put(row, state(i), sign * np.eye(n))
-                put(row, state(i) + n, sign * np.diag(self.limits.approach_s))
-                put(row, self.slacks.start, -np.eye(n))
-                row += n
+                put(row, state(i), sign * own)
+                put(row, state(i) + n, sign * own * self.limits.approach_s)
+                put(row, self.slacks.start, -own)
+                row += len(own)
         self.rows = row
         self._tolerance = np.full(row, VELOCITY_TOLERANCE)
         states = np.arange(2 * n * (count + 1))
@@ -254,12 +257,11 @@ class Ocp:
         _bound(low, high, self._velocity_row, x[1:, n:], limits.velocity)
         change = limits.acceleration * self.interval_s
         _bound(low, high, self._acceleration_row, np.diff(x[:, n:], axis=0), change)
-        half = count * n
-        soft = high[self._soft_row :]
+        soft = high[self._soft_row :].reshape(2, count, len(self._bounded))
         soft_min, soft_max = self.soft_limits(start[:n])
         ahead = x[:, :n] + limits.approach_s * x[:, n:]
-        soft[:half] = (soft_max - ahead)[1:].ravel()
-        soft[half:] = (ahead - soft_min)[1:].ravel()
+        soft[0] = (soft_max - ahead)[1:, self._bounded]
+        soft[1] = (ahead - soft_min)[1:, self._bounded]
 
         error = (x - reference) * self._state_weight * self._weight[:, None]
         self.gradient[self.states] = 2 * error.ravel()
@@ -273,7 +275,7 @@ class Ocp:
 
     def soft_limits(self, position: Array) -> tuple[Array, Array]:
         """Soft position limits at the nodes, (N+1, n) each: outside of them the way back in is an
-        exponential from where the machine is."""
+        exponential from where the machine is. Infinite on continuous axes."""
         time_s = np.arange(self.intervals + 1)[:, None] * self.interval_s
         fade = np.exp(-time_s / RETURN_S)
         low, high = self.limits.soft_min, self.limits.soft_max

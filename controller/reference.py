@@ -22,34 +22,42 @@ class Reference(Protocol):
 
 
 class Sines:
-    """offset + amplitude sin(2 pi harmonic f t + phase) on each axis."""
+    """offset + rate t + amplitude sin(2 pi harmonic f t + phase) on each axis."""
 
     def __init__(self, task: Task) -> None:
         self._offset = np.array([a.offset for a in task.axes])
         self._amplitude = np.array([a.amplitude for a in task.axes])
         self._phase = np.array([a.phase_rad for a in task.axes])
+        self._rate = np.array([a.rate for a in task.axes])
         harmonic = np.array([a.harmonic for a in task.axes])
-        self._rate = 2 * np.pi * task.frequency_Hz * harmonic
+        self._angular = 2 * np.pi * task.frequency_Hz * harmonic
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        angle = np.outer(time_s, self._rate) + self._phase
+        angle = np.outer(time_s, self._angular) + self._phase
         sine, cosine = np.sin(angle), np.cos(angle)
-        position = self._offset + self._amplitude * sine
-        velocity = self._amplitude * self._rate * cosine
-        return position, velocity, -self._amplitude * self._rate**2 * sine
+        position = self._offset + self._amplitude * sine + np.outer(time_s, self._rate)
+        velocity = self._amplitude * self._angular * cosine + self._rate
+        return position, velocity, -self._amplitude * self._angular**2 * sine
 
 
 class Entry:
     """A reference entered from rest: the difference to where the machine stands, at rest, fades
-    out as the quintic that matches position, velocity and acceleration at both ends."""
+    out as the quintic that matches position, velocity and acceleration at both ends. What is
+    entered is the reference `turns` (axes,) further on, for good."""
 
     def __init__(
-        self, reference: Reference, start: Array, start_s: float, duration_s: float
+        self,
+        reference: Reference,
+        start: Array,
+        start_s: float,
+        duration_s: float,
+        turns: Array | float = 0.0,
     ) -> None:
         self._reference, self._start_s, self._duration_s = reference, start_s, duration_s
+        self._turns = turns
         q, v, a = (value[0] for value in reference.at(np.array([start_s])))
         h = duration_s
-        offset, slope, curve = start - q, -v * h, -a * h**2 / 2
+        offset, slope, curve = start - q - turns, -v * h, -a * h**2 / 2
         # p(0..2) given, p(1) = p'(1) = p''(1) = 0
         cubic = -10 * offset - 6 * slope - 3 * curve
         quartic = 15 * offset + 8 * slope + 3 * curve
@@ -62,6 +70,7 @@ class Entry:
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         q, v, a = self._reference.at(time_s)
+        q += self._turns
         share = (time_s - self._start_s) / self._duration_s
         entering = share < 1
         if entering.any():

@@ -10,6 +10,9 @@ holds it, its gains. Spline bases: de Boor, A Practical Guide to Splines, chapte
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,11 +104,18 @@ class Encoder:
         self._position = Fit(prediction.horizon_knots, POSITION_CURVATURE_WEIGHT)
         self._torque = Fit(prediction.horizon_knots, TORQUE_CURVATURE_WEIGHT)
 
-    def committed(self, remotes: list[Remote], sink: int, knot: int, count: int) -> Array:
-        """Points knot .. knot + count - 1 of one sink on all axes, in SI: (count, n)."""
-        points = [remote.track(sink).points(knot, count) for remote in remotes]
-        committed: Array = np.stack(points, axis=1) / self._scale[sink]
-        return committed
+    def _committed(self, remotes: list[Remote], sink: int, knot: int, near: Array) -> Array:
+        """The three points from `knot` on of one sink on all axes, in SI: (3, n)."""
+        return self._in_si(sink, [remote.track(sink).points(knot, 3) for remote in remotes], near)
+
+    def _in_si(self, sink: int, points: Sequence[NDArray[Any]], near: Array) -> Array:
+        """Points of one sink (m,) by axis, in SI: (m, n). `near` (n,): where the axes are at the
+        first of them."""
+        if sink == core.TRACK_POSITION:
+            axes = zip(self._units, points, near.tolist(), strict=True)
+            points = [units.unwrapped(of_axis, about) for units, of_axis, about in axes]
+        in_si: Array = np.stack(points, axis=1) / self._scale[sink]
+        return in_si
 
     def plan(
         self, motion: Motion, remotes: list[Remote], knot: int, start: Array, disturbance: Array
@@ -143,17 +153,18 @@ class Encoder:
         off the torque track at the knots; `gains`: what `gain_points` gives, if it is known.
         """
         law = self._prediction.law
+        begin = motion.position[0]
         gains = self.gain_points(motion, remotes, knot) if gains is None else gains
         feedback = self._feedback(gains)[::2]
         kp, damping = feedback[:, : self._n], feedback[:, self._n :]
         r = self._position(
-            motion.position, self.committed(remotes, core.TRACK_POSITION, knot - 1, 3)
+            motion.position, self._committed(remotes, core.TRACK_POSITION, knot - 1, begin)
         )
         r = self._quantize(r, core.TRACK_POSITION)
         value, rate = at_knots(r, VALUE), at_knots(r, SLOPE) / self._h
         f = motion.torque - kp * (value - motion.position) - damping * (rate - motion.velocity)
         f = np.clip(f - relief, -law.limit, law.limit)
-        f = self._torque(f, self.committed(remotes, core.TRACK_TORQUE, knot - 1, 3))
+        f = self._torque(f, self._committed(remotes, core.TRACK_TORQUE, knot - 1, begin))
         f = np.clip(self._quantize(f, core.TRACK_TORQUE), -law.limit, law.limit)
         return [
             {
@@ -190,17 +201,16 @@ class Encoder:
     def departure(self, motion: Motion, points: list[Points]) -> Array:
         """Torque that the encoded tracks give along the planned motion, minus the planned one, at
         the knots: (K+1, n) Nm."""
-        tracks, _ = self._track_values(points)
+        tracks, _ = self._track_values(points, motion.position[0])
         states = np.hstack((motion.position, motion.velocity))
         departure: Array = self._prediction.law.torque(states, tracks) - motion.torque
         return departure
 
-    def _track_values(self, points: list[Points]) -> tuple[Array, Array]:
-        """[r, r', f, Kp, Kd + c] at the knots (K+1, 5n) and half-way between them (K, 5n)."""
-        h = self._h
-        r = np.stack([p[core.TRACK_POSITION] for p in points], axis=1)
-        f = np.stack([p[core.TRACK_TORQUE] for p in points], axis=1)
-        r, f = r / self._scale[core.TRACK_POSITION], f / self._scale[core.TRACK_TORQUE]
+    def _track_values(self, points: list[Points], near: Array) -> tuple[Array, Array]:
+        """[r, r', f, Kp, Kd + c] at the knots (K+1, 5n) and half-way between them (K, 5n).
+        `near` (n,): where the axes begin."""
+        h, sinks = self._h, (core.TRACK_POSITION, core.TRACK_TORQUE)
+        r, f = (self._in_si(sink, [of_axis[sink] for of_axis in points], near) for sink in sinks)
         gains = self._feedback(points)
         knots = at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE), gains[::2]
         middle = (
@@ -214,7 +224,7 @@ class Encoder:
     def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
         """The motion that the servos make of encoded points, from state `start` (2n,)."""
         n = self._n
-        knots, middles = self._track_values(points)
+        knots, middles = self._track_values(points, start[:n])
         call = self._prediction.rollout
         call.inputs[0][:, 0] = start
         call.inputs[1][...] = disturbance[:, None]
@@ -233,18 +243,21 @@ class Commitment:
         self, remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop
     ) -> None:
         self._remotes, self._gains, self._shift = remotes, gains, loop.knot_shift
+        self._units = units
         self._position = 1 / np.array([u.pq_per_unit for u in units])
         self._speed = self._position / (loop.knot_us * 1e-6)
         self._torque = 1 / np.array([u.tq_per_effort for u in units])
 
-    def at(self, times_us: NDArray[np.int64]) -> Array:
-        """[r, r', f, Kp, Kd + c] at system times (m,): (m, 5n) in rad, Nm and seconds."""
+    def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
+        """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
+        seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
         n = len(self._remotes)
         values = np.empty((len(times_us), TRACK_ROWS * n))
         for axis, remote in enumerate(self._remotes):
             position = remote.track(core.TRACK_POSITION).evaluate(times_us, self._shift)
             torque = remote.track(core.TRACK_TORQUE).evaluate(times_us, self._shift)
-            values[:, axis] = position[0] * self._position[axis]
+            unwrapped = self._units[axis].unwrapped(position[0], near[axis])
+            values[:, axis] = unwrapped * self._position[axis]
             values[:, n + axis] = position[1] * self._speed[axis]
             values[:, 2 * n + axis] = torque[0] * self._torque[axis]
         values[:, 3 * n :] = self._gains.feedback(self._track, times_us)

@@ -3,11 +3,15 @@
 Positions are in 1/1024 of an encoder count (pq). A torque quantum (tq; of force on a linear axis)
 is the smallest power of ten of Nm or N with which the limit is at most 2^25 quanta: 1 uNm for
 limits from 3.4 to 33 Nm.
+
+A continuous axis has its points and its tracks modulo 2^32 pq, 2^22 counts; here, and only here,
+they are brought back to an angle without bounds.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +25,7 @@ GAIN_BITS = 8  # of a gain's control point after the point of the mantissa
 # Knots in which a gain may go from zero to the configured one: its second differences then take
 # three bytes in a frame, at worst.
 GAIN_KNOTS = 16
+TURN = 2 * math.pi  # of a continuous axis: after it every pose comes again
 
 
 @dataclass(frozen=True)
@@ -30,13 +35,14 @@ class AxisUnits:
     pq_per_unit: float  # per rad or m
     tq_per_effort: float  # per Nm or N
     knot_s: float
+    continuous: bool
 
     @classmethod
     def of(cls, axis: Axis, loop: Loop) -> AxisUnits:
         """Quanta for an axis of the config."""
         tq_per_effort = 10.0 ** math.floor(math.log10(_core.TORQUE_MAX / axis.effort_limit))
         pq_per_unit = axis.counts_per_unit * (1 << _core.COUNT_BITS)
-        return cls(pq_per_unit, tq_per_effort, loop.knot_us * 1e-6)
+        return cls(pq_per_unit, tq_per_effort, loop.knot_us * 1e-6, axis.continuous)
 
     @property
     def unit_per_count(self) -> float:
@@ -44,12 +50,34 @@ class AxisUnits:
         return (1 << _core.COUNT_BITS) / self.pq_per_unit
 
     def position_points(self, position: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Control points in pq, rounded."""
-        return np.rint(position * self.pq_per_unit).astype(np.int32)
+        """Control points in pq, rounded; modulo 2^32 on a continuous axis."""
+        points = np.rint(position * self.pq_per_unit)
+        return (points.astype(np.int64) if self.continuous else points).astype(np.int32)
+
+    def unwrapped(self, points: NDArray[np.int32], near: float) -> NDArray[np.float64]:
+        """Control points, or a track at several times, in pq without bounds.
+
+        On a continuous axis each follows the one before it by less than half of the 2^32, and of
+        all that the first may stand for it is the one next to the position `near` [rad].
+        """
+        if not self.continuous:
+            return points.astype(np.float64)
+        steps = np.diff(points, prepend=points[:1])  # modulo 2^32, as int32 has it
+        way = points[:1] + np.cumsum(steps, dtype=np.int64)
+        again: NDArray[np.float64] = np.rint((near * self.pq_per_unit - points[:1]) / 2.0**32)
+        return way + 2.0**32 * again
 
     def torque_points(self, effort: NDArray[np.float64]) -> NDArray[np.int32]:
         """Control points in tq, rounded."""
         return np.rint(effort * self.tq_per_effort).astype(np.int32)
+
+
+def whole_turns(axes: Sequence[Axis], way: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of ways (..., n) on the axes that makes no difference: on a continuous one all whole
+    turns in it, on others nothing [rad or m]."""
+    turn = np.array([TURN if axis.continuous else 0.0 for axis in axes])
+    turns: NDArray[np.float64] = turn * np.rint(way / TURN)
+    return turns
 
 
 def scale_of(factor: float) -> _core.Scale:
@@ -109,11 +137,13 @@ def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
     """
     position, speed = units.pq_per_unit, units.pq_per_unit * units.knot_s
     acceleration = speed * units.knot_s
-    low, high = axis.position_min, axis.position_max
     v, a = axis.velocity_limit, axis.acceleration_limit
+    ends = (
+        ("position_min", axis.lowest, position, -_core.POINT_MAX, _core.POINT_MAX),
+        ("position_max", axis.highest, position, -_core.POINT_MAX, _core.POINT_MAX),
+    )
     for name, value, quanta, least, most in (
-        ("position_min", low, position, -_core.POINT_MAX, _core.POINT_MAX),
-        ("position_max", high, position, -_core.POINT_MAX, _core.POINT_MAX),
+        *(() if axis.continuous else ends),
         ("velocity_limit", v, speed, 1, _core.DIFFERENCE_MAX),
         ("acceleration_limit", a, acceleration, 1, 2**31 - 1),
         ("stop_deceleration", axis.deceleration, acceleration, 1, 2 * _core.DIFFERENCE_MAX),
@@ -124,12 +154,16 @@ def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
                 f"counts per {axis.unit} and this knot it can be {least / quanta:.3g} to "
                 f"{most / quanta:.3g}"
             )
+    low, high = -_core.POINT_MAX, _core.POINT_MAX  # which a continuous axis does not look at
+    if not axis.continuous:
+        low, high = math.ceil(axis.lowest * position), math.floor(axis.highest * position)
     return _core.GateLimits(
-        math.ceil(low * position),
-        math.floor(high * position),
+        low,
+        high,
         math.floor(v * speed),
         math.floor(a * acceleration),
         math.floor(axis.deceleration * acceleration),
+        axis.continuous,
     )
 
 

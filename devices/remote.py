@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from headway.devices.bus import NONE, Bus, Mark
 from headway.devices.clock import RemoteClock
+from headway.devices.odometer import Odometer
 from headway.devices.session import Session
 from headway.firmware import _core
 
@@ -70,9 +71,11 @@ class Remote:
         self.status: _core.Status | None = None
         self.clock = RemoteClock()
         self.frames_bad = 0
+        self._odometer = Odometer()
 
-    def receive(self, packet: bytes, received_us: int) -> _core.Status | None:
-        """Opens a packet; returns the status, or None for what is not one (counted)."""
+    def receive(self, packet: bytes, received_us: int) -> list[tuple[int, int]] | None:
+        """Opens a packet; returns a status' samples (time, count without bounds), or None for what
+        is no status (counted)."""
         opened = self._session.open(packet)
         status = None
         if isinstance(opened, str) and not self._session.established:
@@ -92,7 +95,7 @@ class Remote:
             if self._bus is not None:
                 self._bus.tell(self._device, status.mark)
             self._settle(status)
-        return status
+        return self._odometer.read(status.samples, status.homed)
 
     def _settle(self, status: _core.Status) -> None:
         if self._command and status.command_number >= self._command.number:

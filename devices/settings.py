@@ -93,9 +93,10 @@ def monitor_settings(axis: Axis, device: Device, loop: Loop) -> _core.MonitorSet
     monitor.following_pq = _fit(following, f"{axis.joint}: {axis.key('following_limit')}", 2**29)
     monitor.following_periods = math.ceil(FOLLOWING_S / period_s)
     monitor.speed_pq = math.ceil(SPEED_SHARE * axis.velocity_limit * speed) + count
-    monitor.bounded = True
-    monitor.low_pq = math.floor(axis.position_min * position - following)
-    monitor.high_pq = math.ceil(axis.position_max * position + following)
+    monitor.bounded = not axis.continuous
+    if monitor.bounded:
+        monitor.low_pq = math.floor(axis.lowest * position - following)
+        monitor.high_pq = math.ceil(axis.highest * position + following)
     monitor.deceleration_q16 = _fit(
         axis.deceleration * speed * period_s * 65536,
         f"{axis.joint}: {axis.key('stop_deceleration')}",

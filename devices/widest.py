@@ -19,7 +19,9 @@ def fits_a_frame(limits: Mapping[int, _core.GateLimits], count: int) -> bool:
             of.difference_max // 2,
             (of.point_max - of.point_min) // 2,
         )
-        tracks[sink] = (of.point_max - swing + swing * sign).astype(np.int32)
+        # Of a continuous axis about where 2^32 begins anew, since points are sent as differences.
+        middle = 2**31 if of.continuous else of.point_max - swing
+        tracks[sink] = (middle + swing * sign).astype(np.int64).astype(np.int32)
     try:
         _core.plan_encode((0, 0, 0), 1, 0, 0, tracks)
     except ValueError:

@@ -1,4 +1,10 @@
 // What a board supplies. The device calls these and owns no hardware; `board` is the board's own.
+//
+// A board calls device_poll from its main loop and device_guard (guard.h) from the interrupt of a timer
+// that nothing else stops. So what sets power, duty and brake, and what tells the count and the
+// line, is called from there too, also in the middle of the same function called by the main loop:
+// each sets its output by one store, or takes no harm from being interrupted. What the main loop then
+// finishes setting is put right by the end of its period, or by the next interrupt.
 #ifndef HEADWAY_BOARD_H
 #define HEADWAY_BOARD_H
 

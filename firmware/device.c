@@ -93,6 +93,14 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
         happen_breach(device, breach, count_us);
 }
 
+// The guard has braked, and the monitor may not have seen why.
+static void heed_guard(struct device *device, uint32_t count_us) {
+    const struct guard *guard = &device->guard;
+    struct breach late = {REASON_LATE, guard->overdue_us, guard->limit_us};
+    if (guard->verdict != GUARD_LETS && device->state < DEVICE_FAULT)
+        happen_breach(device, late, count_us);
+}
+
 static bool tracks_rest(const struct device *device, int64_t knot) {
     for (int32_t sink = 0; sink < TRACK_COUNT; sink++)
         if (device->tracks[sink].written && knot < device->tracks[sink].end - 1)
@@ -157,6 +165,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     measure(device, board, time_us);
     watch(device, board, count_us, late_us);
     follow(device, board, count_us);
+    heed_guard(device, count_us);
     drive(device, board, time_us, count_us);
     admit_advance(device, count_us);
     neighbours_ask(device, board, count_us);

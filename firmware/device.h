@@ -10,6 +10,7 @@
 #include "clock.h"
 #include "fault.h"
 #include "frame.h"
+#include "guard.h"
 #include "history.h"
 #include "home.h"
 #include "monitor.h"
@@ -67,6 +68,7 @@ struct device {
     uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
     bool trusted;           // encoder and servo, to ramp down by
     uint32_t stop_count_us; // count at the fault or emergency stop
+    struct guard guard;     // what judges beside all this
     struct status status;
     struct plan plan; // the one being decoded
 };
@@ -78,7 +80,8 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us);
 // Takes other settings. Nothing may be powered.
 void device_configure(struct device *device, const struct device_settings *settings);
 
-// To be called at least every 250 us: takes what arrived, runs the servo when it is due.
+// To be called at least every 250 us: takes what arrived, runs the servo when it is due. Beside it,
+// from an interrupt, comes device_guard (guard.h).
 void device_poll(struct device *device, struct board *board);
 
 // Sends a status that waits for its moment. device_poll does so as well; in between it may be called

@@ -5,7 +5,7 @@
 
 // Where the setpoint comes from.
 enum source {
-    SOURCE_NONE,   // nothing to drive
+    SOURCE_NONE,   // nothing to drive, or the guard has the output
     SOURCE_OPEN,   // the holding torque alone: the encoder is not trusted
     SOURCE_HOLD,   // the place of the last rest
     SOURCE_TASK,   // homing or jogging
@@ -64,6 +64,8 @@ static bool ramps(const struct device *device, uint32_t count_us) {
 }
 
 static enum source source_of(const struct device *device, uint32_t count_us) {
+    if (device->guard.verdict != GUARD_LETS)
+        return SOURCE_NONE;
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
@@ -117,6 +119,8 @@ static void set_brake(struct device *device, bool on) {
     bool settled = device->brake_periods == device->settings.brake_periods;
     if (settled && on && !(device->state >= DEVICE_ARMED && device->state <= DEVICE_HOLD))
         device->power = false; // the brake has it
+    if (device->guard.verdict == GUARD_OFF)
+        device->power = false;
     device->status.released = settled && !on;
 }
 
@@ -198,7 +202,7 @@ static void note_torque(struct status *status, const struct servo *servo) {
 void drive(struct device *device, struct board *board, int64_t time_us, uint32_t count_us) {
     enum source source = source_of(device, count_us);
     set_brake(device, brake_wanted(device, time_us, source));
-    if (device->power) {
+    if (device->power && source != SOURCE_NONE) {
         struct setpoint setpoint = setpoint_of(device, board, time_us, source);
         int32_t duty =
             servo_step(&device->settings.servo, &device->servo, &setpoint, device->position_pq);
@@ -214,6 +218,7 @@ void drive(struct device *device, struct board *board, int64_t time_us, uint32_t
     }
     board_set_brake(board, device->brake);
     board_set_power(board, device->power);
+    guard_assert(&device->guard, board); // it may have tripped between these lines
     board_set_chopper(board, device->monitor.chopper);
     if (!device->power && device->faults_unsaved) { // nothing moves: there is time to write
         store_save_faults(board, &device->faults);

@@ -51,6 +51,7 @@ struct fault {
 };
 
 #define FAULT_LOG 8
+#define FAULT_LOG_BYTES (4 + FAULT_LOG * 30)
 
 struct fault_log {
     uint32_t count; // faults ever; the ring holds the last FAULT_LOG

@@ -169,11 +169,12 @@ static struct breach worse(struct breach first, struct breach second) {
 struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
                            const struct observation *seen) {
     bool moved = monitor->primed && seen->count != monitor->count;
+    // First: a period that comes late finds the encoder far away, and that is no jump.
+    struct breach worst = watch_late(settings, seen);
     // One by one: in an initializer their order, and with it the speed they see, would be open.
-    struct breach worst = watch_count(settings, monitor, seen->count);
+    worst = worse(worst, watch_count(settings, monitor, seen->count));
     if (seen->driven)
         worst = worse(worst, watch_stuck(settings, monitor, seen, moved));
-    worst = worse(worst, watch_late(settings, seen));
     worst = worse(worst, watch_supply(settings, monitor, seen->supply_mV, seen->power));
     worst = worse(worst, watch_heat(settings, monitor, seen->torque_tq));
     if (seen->driven)

@@ -66,6 +66,7 @@ static enum command_result clear(struct device *device, const struct board *boar
         return COMMAND_CAUSE;
     device->status.homed = stays_homed(device);
     device->trusted = true;
+    device->guard.verdict = GUARD_LETS;
     happen(device, EVENT_CLEAR);
     return COMMAND_DONE;
 }

@@ -51,7 +51,7 @@ class Tree:
             ]
             raise ValueError(
                 f"joint {', '.join(many)}: only hinge and slide joints are supported; "
-                "replace a free, ball or continuous joint by hinges and slides"
+                "replace a free or ball joint by hinges and slides"
             )
         self.parent = [int(model.parents[j + 1]) - 1 for j in range(self.count)]
         self.placement = [model.jointPlacements[j + 1] for j in range(self.count)]

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from headway.models.dynamics import Tree
-from headway.models.source import is_urdf, read_spec
+from headway.models.source import is_urdf, read_model, read_spec
 
 MEND = {
     False: "give every body a name, and no pose to a body that is fixed to the world",
@@ -43,9 +43,8 @@ def load_machine(path: Path) -> Machine:
     more than one degree of freedom, when the two read it differently or when it has forces that the
     model here cannot have.
     """
-    build = pin.buildModelFromUrdf if is_urdf(path) else pin.buildModelFromMJCF
     try:
-        model = build(str(path))
+        model = read_model(path)
         plant = read_spec(path).compile()
         model.gravity.linear = plant.opt.gravity  # which pinocchio does not read
         tree = Tree(model)

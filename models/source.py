@@ -1,4 +1,4 @@
-"""A machine's file, MJCF or URDF, as MuJoCo reads it."""
+"""A machine's file, MJCF or URDF, as MuJoCo and pinocchio read it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import mujoco
+import pinocchio as pin
 
-OPEN = 1e9  # rad or m: where a URDF's limits are of no width, as exporters write them
+OPEN = 1e9  # rad or m: where a URDF's limits are of no width, as exporters write them, or none
 
 
 def is_urdf(path: Path) -> bool:
@@ -25,10 +26,7 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     """
     if not is_urdf(path):
         return mujoco.MjSpec.from_file(str(path))
-    try:
-        robot = ET.parse(path).getroot()
-    except ET.ParseError as error:
-        raise ValueError(f"XML: {error}") from error
+    robot = _robot(path)
     for link in robot.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
@@ -40,3 +38,42 @@ def read_spec(path: Path) -> mujoco.MjSpec:
             limit.set("lower", str(-OPEN))  # MuJoCo would warn, in a file of its own
             limit.set("upper", str(OPEN))
     return mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))
+
+
+def read_model(path: Path) -> pin.Model:
+    """Reads a file for pinocchio.
+
+    A URDF's continuous joints become revolute ones: pinocchio would have their cosine and sine for
+    coordinates, where all others have an angle. Raises ValueError for a file that cannot be read.
+    """
+    if not is_urdf(path):
+        return pin.buildModelFromMJCF(str(path))
+    robot = _robot(path)
+    for joint in _continuous(robot):
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
+        limit.set("lower", str(-OPEN))
+        limit.set("upper", str(OPEN))
+    return pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
+
+
+def continuous_joints(path: Path) -> set[str]:
+    """Joints of which the file says that they turn for ever: an MJCF says it of none, since a hinge
+    without a range may be one that nobody has measured."""
+    if not is_urdf(path):
+        return set()
+    return {joint.get("name", "") for joint in _continuous(_robot(path))}
+
+
+def _robot(path: Path) -> ET.Element:
+    """A URDF's root. Raises ValueError."""
+    try:
+        return ET.parse(path).getroot()
+    except ET.ParseError as error:
+        raise ValueError(f"XML: {error}") from error
+
+
+def _continuous(robot: ET.Element) -> list[ET.Element]:
+    return [joint for joint in robot.iter("joint") if joint.get("type") == "continuous"]

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 
-from headway.models.source import OPEN, is_urdf, read_spec
+from headway.models.source import OPEN, continuous_joints, is_urdf, read_model, read_spec
 
 PLUGIN = "headway.servo"
 
@@ -31,6 +30,7 @@ class Joint:
 
     name: str
     linear: bool
+    continuous: bool  # it turns for ever
     position: tuple[float, float] | None  # rad or m
     velocity: float | None  # rad/s or m/s
     effort: float | None  # Nm or N
@@ -54,17 +54,24 @@ def stated(path: Path, names: tuple[str, ...]) -> list[Joint]:
     }
     speeds = {}
     if is_urdf(path):
-        urdf = pin.buildModelFromUrdf(str(path))
+        urdf = read_model(path)
         speeds = dict(zip(list(urdf.names)[1:], urdf.velocityLimit.tolist(), strict=True))
-    return [_joint(model, name, speeds.get(name, 0.0), boards.get(name)) for name in names]
+    endless = continuous_joints(path)
+    return [
+        _joint(model, name, name in endless, speeds.get(name, 0.0), boards.get(name))
+        for name in names
+    ]
 
 
-def _joint(model: mujoco.MjModel, name: str, speed: float, board: Board | None) -> Joint:
+def _joint(
+    model: mujoco.MjModel, name: str, continuous: bool, speed: float, board: Board | None
+) -> Joint:
     joint = model.joint(name)
     low, high = joint.range.tolist()
     return Joint(
         name,
         bool(joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE),
+        continuous,
         (low, high) if joint.limited[0] and high - low < OPEN else None,
         speed if 0 < speed < np.inf else None,
         _effort(model, joint.id),

@@ -121,7 +121,7 @@ class Attacker:
         """Every millisecond."""
         q, v = self.plant.position[self.index], self.plant.velocity[self.index]
         axis, found, node = self.axis, self.found, self.node
-        beyond = max(q - axis.position_max, axis.position_min - q)
+        beyond = max(q - axis.highest, axis.lowest - q)
         found.outside = max(found.outside, beyond / axis.following)
         found.speed = max(found.speed, abs(v) / axis.velocity_limit)
         limit = self.settings.servo.torque_limit_tq
@@ -332,7 +332,7 @@ def siege(path: Path, seed: int, seconds: float) -> list[Findings]:
     rng, axes = np.random.default_rng(seed), config.machine.axes
     found, ms = [Findings() for _ in axes], 0
     while ms < seconds * 1000:
-        start = [rng.uniform(a.position_min, a.position_max) * 0.9 for a in axes]
+        start = [rng.uniform(a.lowest, a.highest) * 0.9 for a in axes]
         period_us = config.device.servo_period_us
         plant = Plant(model, config.machine, config.sim.plant, period_us, start)
         plant.model.jnt_limited[:] = 0

@@ -97,6 +97,13 @@ BUGS = (
         "tests/test_device_states.py::test_a_plan_is_taken_whole_or_not_at_all",
     ),
     Bug(
+        "servo's time unguarded",
+        "firmware/guard.c",
+        "    judge(guard, count_us, device->next_servo_us, settings->monitor.late_us);\n",
+        "",
+        "tests/test_mishaps.py::test_hung_boards_are_braked_by_their_guards",
+    ),
+    Bug(
         "rest constraint off",
         "controller/ocp.py",
         "        high[: self.equalities] = low[: self.equalities]\n",

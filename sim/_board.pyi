@@ -87,7 +87,9 @@ class Node:
         """Position, its rate per knot and torque: at a system time while the device executes its
         tracks, else those of the last servo period."""
 
-    def poll(self, true_us: int, encoder_count: int) -> None: ...
+    def poll(self, true_us: int, encoder_count: int) -> None:
+        """Runs the board at a true time: its guard and, unless it is hung, its main loop."""
+
     @property
     def state(self) -> int: ...
     @property
@@ -109,8 +111,13 @@ class Node:
     @property
     def power(self) -> bool: ...
     @property
+    def tripped(self) -> bool:
+        """The guard has braked, and holds it so."""
+
+    @property
     def chopper(self) -> bool: ...
     stop_line: bool
+    hung: bool
     supply_V: float
     feed_V: float
     capacitance_F: float
@@ -119,6 +126,7 @@ class Node:
     index_at: int
     switch_from: int
     switch_to: int
+    switch_every: int
     random: int
     @property
     def dropped(self) -> int: ...

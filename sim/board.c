@@ -1,4 +1,5 @@
 #include "board.h"
+#include "fixed.h" // counts modulo 2^32
 #include <string.h>
 
 #define SOF_JITTER_PS 100000 // a choice: from the wire to a timer's capture
@@ -34,6 +35,12 @@ void board_advance(struct board *board, int64_t true_us) {
 
 uint32_t board_count_at(const struct board *board, int64_t true_us) {
     return (uint32_t)(uint64_t)oscillator_read(&board->oscillator, true_us);
+}
+
+void node_run(struct node *node) {
+    device_guard(&node->device, &node->board);
+    if (!node->board.hung)
+        device_poll(&node->device, &node->board);
 }
 
 uint32_t board_count_us(const struct board *board) { return board_count_at(board, board->true_us); }
@@ -89,15 +96,22 @@ static int32_t floor_divide(int32_t a, int32_t b) { return a / b - (a % b < 0); 
 static void pass_marks(struct board *board, int32_t count) {
     if (board->index_every > 0) {
         int32_t every = board->index_every, at = board->index_at;
-        int32_t before = floor_divide(board->true_count - at, every);
-        int32_t after = floor_divide(count - at, every);
+        int32_t before = floor_divide(fixed_difference(board->true_count, at), every);
+        int32_t after = floor_divide(fixed_difference(count, at), every);
         if (before != after) {
-            board->index_count =
-                (after > before ? after : before) * every + at - board->encoder_offset;
+            uint32_t mark = (uint32_t)(after > before ? after : before) * (uint32_t)every;
+            int32_t true_count = fixed_sum((int32_t)mark, at);
+            board->index_count = fixed_difference(true_count, board->encoder_offset);
             board->indexed = true;
         }
     }
     board->true_count = count;
+    if (board->switch_every > 0) {
+        int32_t turns =
+            floor_divide(fixed_difference(count, board->switch_from), board->switch_every);
+        uint32_t way = (uint32_t)turns * (uint32_t)board->switch_every;
+        count = fixed_difference(count, (int32_t)way);
+    }
     board->home_switch = count >= board->switch_from && count < board->switch_to;
 }
 
@@ -111,11 +125,11 @@ void board_set_encoder(struct board *board, int32_t count) {
         if (fault->defect == ENCODER_STUCK)
             count = fault->at_count;
         else if (fault->defect == ENCODER_REVERSED)
-            count = 2 * fault->at_count - count;
+            count = fixed_difference(fault->at_count, fixed_difference(count, fault->at_count));
         else
-            count += 1 << 16;
+            count = fixed_sum(count, 1 << 16);
     }
-    board->encoder_count = count - board->encoder_offset;
+    board->encoder_count = fixed_difference(count, board->encoder_offset);
 }
 
 static bool fill(struct parcel *parcels, int32_t count, int32_t port, int64_t time_us,

@@ -64,6 +64,7 @@ struct board {
     double feed_V;        // what the supply would be without load
     int32_t stop_line;    // the emergency line is open
     int32_t switch_from, switch_to; // true counts at which the home switch is on
+    int32_t switch_every;           // true counts from one such place to the next, 0: there is one
     int32_t home_switch;
     int32_t index_every; // true counts from one index pulse to the next, 0: none
     int32_t index_at;    // true count of one of them
@@ -71,6 +72,7 @@ struct board {
     int32_t indexed;     // an index pulse waits to be read
     int32_t index_count;
     struct encoder_fault encoder_fault;
+    int32_t hung; // the main loop: only interrupts run
     uint64_t random;
     uint32_t dropped; // packets that found the inbox or outbox full
     struct memory memory[RECORDS];
@@ -89,6 +91,9 @@ struct node {
 
 // Time goes on.
 void board_advance(struct board *board, int64_t true_us);
+
+// What a board runs by itself at one instant: the guard's timer and, unless it hangs, the main loop.
+void node_run(struct node *node);
 
 // Count of the local oscillator at a true time.
 uint32_t board_count_at(const struct board *board, int64_t true_us);

@@ -22,6 +22,7 @@ from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.reference import Sines
 from headway.controller.tick import DeviceError, Phase
+from headway.devices.axis import TURN
 from headway.devices.bus import Bus as Marks
 from headway.devices.core import COAST_KNOTS
 from headway.devices.remote import Remote
@@ -172,6 +173,11 @@ class Lockstep:
         node.encoder_offset = int(world.integers(-turn, turn))
         node.index_every, node.index_at = turn, mark
         beyond = (-(2**31), mark) if axis.homing.backwards else (mark, 2**31 - 1)
+        if axis.continuous:  # a cam over half of each turn
+            around = round(axis.counts_per_unit * TURN)
+            half = -around // 2 if axis.homing.backwards else around // 2
+            beyond = min(mark, mark + half), max(mark, mark + half)
+            node.switch_every = around
         node.switch_from, node.switch_to = beyond
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:

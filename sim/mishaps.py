@@ -62,6 +62,8 @@ class Mishaps:
                 node.feed_V = mishap.supply_V
             elif mishap.kind == "clock_step":
                 node.step_clock(mishap.step_us)
+            elif mishap.kind == "firmware_hangs":
+                node.hung = True
             else:
                 node.break_encoder(ENCODER_DEFECTS[mishap.kind], true_us)
 
@@ -75,3 +77,5 @@ class Mishaps:
                 self._network.cut(self._cut)
             elif mishap.kind == "supply_sag":
                 node.feed_V = self._feed_V[device]
+            elif mishap.kind == "firmware_hangs":
+                node.hung = False

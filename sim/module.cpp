@@ -57,6 +57,7 @@ static void restart(Node &n) {
         p.size = 0;
     for (parcel &p : n->board.outbox)
         p.size = 0;
+    n->board.hung = false;
     board_set_power(&n->board, false);
     board_set_brake(&n->board, true);
     board_set_duty(&n->board, 0);
@@ -207,7 +208,7 @@ NB_MODULE(_board, m) {
             [](Node &n, int64_t true_us, int32_t encoder_count) {
                 board_advance(&n->board, true_us);
                 board_set_encoder(&n->board, encoder_count);
-                device_poll(&n->device, &n->board);
+                node_run(n.operator->());
             },
             "true_us"_a, "encoder_count"_a)
         .def_prop_ro("state", [](Node &n) { return (int)n->device.state; })
@@ -224,10 +225,14 @@ NB_MODULE(_board, m) {
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })
         .def_prop_ro("power", [](Node &n) { return n->board.power != 0; })
+        .def_prop_ro("tripped", [](Node &n) { return n->device.guard.verdict != GUARD_LETS; })
         .def_prop_ro("chopper", [](Node &n) { return n->board.chopper != 0; })
         .def_prop_rw(
             "stop_line", [](Node &n) { return n->board.stop_line != 0; },
             [](Node &n, bool value) { n->board.stop_line = value; })
+        .def_prop_rw(
+            "hung", [](Node &n) { return n->board.hung != 0; },
+            [](Node &n, bool value) { n->board.hung = value; })
         .def_prop_rw(
             "supply_V", [](Node &n) { return n->board.supply_V; },
             [](Node &n, double value) { n->board.supply_V = value; })
@@ -252,6 +257,9 @@ NB_MODULE(_board, m) {
         .def_prop_rw(
             "switch_to", [](Node &n) { return n->board.switch_to; },
             [](Node &n, int32_t value) { n->board.switch_to = value; })
+        .def_prop_rw(
+            "switch_every", [](Node &n) { return n->board.switch_every; },
+            [](Node &n, int32_t value) { n->board.switch_every = value; })
         .def_prop_rw(
             "random", [](Node &n) { return n->board.random; },
             [](Node &n, uint64_t value) { n->board.random = value; })

@@ -1,7 +1,7 @@
 // MuJoCo engine plugin: a geared brushed DC motor with encoder and brake, driven by the firmware.
 //
-// One actuator is one board. mj_step alone runs plant and servos: after each step the device is
-// polled with its new encoder count; in the next one the motor turns its duty into torque. All
+// One actuator is one board. mj_step alone runs plant and servos: after each step the board
+// runs with its new encoder count; in the next one the motor turns its duty into torque. All
 // state, the device's included, lives in mjData's plugin_state. The motor's numbers are in the
 // actuator's `user` array (enum motor), where a plant's parameters can be varied.
 #include <math.h>
@@ -122,15 +122,18 @@ static void advance(const mjModel *m, mjData *d, int instance) {
     const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
     struct node *node = node_of(m, d, instance);
     mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
-    board_set_encoder(&node->board, (int32_t)mju_clip(count, -2e9, 2e9));
+    // Modulo 2^32, as an encoder's counter has it. Up to 2^53 counts can be told apart.
+    count = mju_clip(count, -9e15, 9e15);
+    board_set_encoder(&node->board, (int32_t)(uint32_t)(uint64_t)(int64_t)count);
     charge(&node->board, m->opt.timestep);
     int64_t end_us = node->board.true_us + (int64_t)floor(m->opt.timestep * 1e6 + 0.5);
     while (node->board.true_us + REPORT_US < end_us) {
         board_advance(&node->board, node->board.true_us + REPORT_US);
-        device_report(&node->device, &node->board);
+        if (!node->board.hung)
+            device_report(&node->device, &node->board);
     }
     board_advance(&node->board, end_us);
-    device_poll(&node->device, &node->board);
+    node_run(node);
 }
 
 mjPLUGIN_LIB_INIT(headway_servo) {

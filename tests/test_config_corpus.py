@@ -53,6 +53,7 @@ sim:
   plant:
     coulomb_Nm_or_N: [0.15, 0.15]
 """
+RANGE_OF_Q1 = "      position_min_rad: -2.8\n      position_max_rad: 2.8\n"
 RANGE_MARGIN = "must be a whole number from 1024 to 200000, in microseconds"
 
 
@@ -318,6 +319,49 @@ VALUES = [
     ),
     edit("range", "-2.8", "2.9", ("7:25", "position_min_rad: must be below position_max_rad")),
     edit(
+        "continuous, with a range",
+        "position_max_rad: 2.8",
+        "position_max_rad: 2.8\n      soft_max_rad: 2\n      continuous: true",
+        ("7:25", "machine.axes.0.position_min_rad: is for axes that end somewhere: remove it, or"),
+        ("8:25", "machine.axes.0.position_max_rad: is for", "remove it, or continuous: true"),
+        ("9:21", "machine.axes.0.soft_max_rad: is for axes that end somewhere: remove it"),
+    ),
+    edit(
+        "neither continuous nor a range",
+        f"{RANGE_OF_Q1}",
+        "      continuous: false\n",
+        (
+            "5:7",
+            "position_min_rad: missing: a number, in rad; for",
+            "continuous: true, if it turns",
+        ),
+        ("5:7", "machine.axes.0.position_max_rad: missing: a number, in rad; for example `pos"),
+    ),
+    edit(
+        "continuous, with a mechanical stop",
+        f"{RANGE_OF_Q1}",
+        "      continuous: true\n      homing: {method: stop, mark_rad: 0, speed_rad_per_s: 1, "
+        "torque_Nm: 1, way_rad: 7}\n",
+        ("8:24", "homing.method: is stop, but an axis with continuous: true has", "use index or"),
+    ),
+    edit(
+        "no word for continuous",
+        f"{RANGE_OF_Q1}",
+        "      continuous: yes\n",
+        ("7:19", "continuous: must be true or false (given: 'yes'); write true"),
+    ),
+    edit(
+        "turning on within a range",
+        "amplitude_rad: 0.8",
+        "rate_rad_per_s: 1, amplitude_rad: 0.8",
+        ("30:41", "task.axes.0.rate_rad_per_s: would take q1 out of its range: remove it, or"),
+    ),
+    Broken(
+        "further than its encoder counts",
+        GOOD.replace(RANGE_OF_Q1, "      continuous: true\n").replace("0.7,", "4e5,"),
+        (("29:7", ("task.axes.0: q1 would start at 400000 rad", "begin between -337326 and")),),
+    ),
+    edit(
         "two that do not fit",
         "name: bench",
         "name: bench\nmpc: {fade_start: 0.9, fade_end: 0.1}",
@@ -369,6 +413,11 @@ MANY = [
         "a key of a rotary axis in a linear one",
         LINEAR.replace("position_min_m", "position_min_rad"),
         (("7:25", ("position_min_rad: is a key of rotary axes and", "of linear ones: use")),),
+    ),
+    Broken(
+        "a continuous slide",
+        LINEAR.replace("      position_min_m", "      continuous: true\n      position_min_m"),
+        (("7:19", ("axes.0.continuous: is for rotary axes alone: a slide ends, so remove it",)),),
     ),
     edit(
         "several",

@@ -55,7 +55,7 @@ class Waves:
 
     amplitude = 0.5
 
-    def at(self, times_us: Times) -> Array:
+    def at(self, times_us: Times, near: Array | None = None) -> Array:
         t = (np.asarray(times_us) - START_US) * 1e-6
         a, still = self.amplitude, np.ones_like(t)
         position = np.stack([0.5 - a * np.cos(8 * t), 0.3 + a * np.cos(11 * t)], axis=1)
@@ -387,7 +387,7 @@ def test_a_wrong_start_is_recovered_from(offset: tuple[float, float]) -> None:
     np.testing.assert_allclose(model_step(z, held), z, atol=1e-12)
 
     class Holding(Still):
-        def at(self, times_us: Times) -> Array:
+        def at(self, times_us: Times, near: Array | None = None) -> Array:
             return np.tile(held[0], (len(times_us), 1))
 
     filter_ = estimator()

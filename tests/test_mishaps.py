@@ -62,6 +62,9 @@ def assert_rests(lockstep: Lockstep, record: Arrays, within_s: float) -> None:
         ("encoder_spike", {}, "FAULT", "encoder jumped by"),
         ("supply_sag", {"supply_V": 20}, "FAULT", "the supply is at 20 V, at least 33.6"),
         ("reset", {}, "UNSYNCED", "no longer answers"),
+        ("firmware_hangs", {}, "RUNNING", "no longer answers"),
+        ("firmware_hangs", {"for_s": 0.03}, "FAULT", "us late, allowed 4000"),
+        ("firmware_hangs", {"for_s": 0.3}, "FAULT", "no longer answers"),
         ("partition", {}, "HOLD", "no longer answers"),
     ],
 )
@@ -82,6 +85,15 @@ def test_emergency_line() -> None:
     assert_rests(lockstep, record, 0.56)
     for node in lockstep.plant.nodes:
         assert node.brake and not node.power
+
+
+def test_hung_boards_are_braked_by_their_guards() -> None:
+    """All of them at once, for ever: nobody but their timers is left to stop the machine."""
+    lockstep, record, said = struck(f"sim.mishaps=[{{kind: firmware_hangs, at_s: {AT_S}}}]")
+    assert lockstep.device_states() == ["RUNNING", "RUNNING"] and "no longer answers" in said
+    assert_rests(lockstep, record, 0.1)
+    for node in lockstep.plant.nodes:
+        assert node.tripped and node.brake and not node.power and node.duty_q15 == 0
 
 
 def test_killed_host_takes_both_axes_to_rest_together() -> None:

@@ -213,7 +213,7 @@ def test_an_mjcf_that_cannot_be_controlled(
     ("old", "new", "message"),
     [
         ("", "", None),
-        ('type="revolute"', 'type="continuous"', "swing: only hinge and slide"),
+        ('type="revolute"', 'type="floating"', "swing: only hinge and slide"),
         (
             '"0.2" effort="30" velocity="0.5"/>',
             '"1" effort="1" velocity="1"/><mimic joint="swing"/>',

@@ -364,7 +364,8 @@ def test_the_sternest_breach_is_told() -> None:
     both = {"error_pq": 11, "supply_mV": 0, "torque_tq": 1 << 25}
     assert watch(**both)[0] == "I2T"  # before FOLLOWING
     assert watch(**both, late_us=11)[0] == "LATE"
-    assert watch(**both, late_us=11, count=6)[0] == "SPIKE"
+    assert watch(**both, count=6)[0] == "SPIKE"
+    assert watch(**both, late_us=11, count=12)[0] == "LATE"  # which explains the jump
     watch = Watch(following_pq=10, following_periods=50, overload=1 << 30, rise_q16=1 << 30)
     runaway = {"error_pq": 11, "feedback_tq": 1, "torque_tq": 1 << 25}
     for period in range(50):

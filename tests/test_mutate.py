@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scripts" / "mutation"
-SHARD = "3/48"
+SHARD = "3/64"
 
 
 def mutate(*words: str | Path) -> subprocess.CompletedProcess[str]:

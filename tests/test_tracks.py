@@ -323,7 +323,7 @@ def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None
         nonlocal compared
         if lock.loop.phase is Phase.RUN:
             times_us = np.arange(now_us - 4096, now_us + 4096, 256)
-            values = commitment.at(times_us)[:, :6] * quanta
+            values = commitment.at(times_us, lock.plant.position)[:, :6] * quanta
             for time_us, value in zip(times_us.tolist(), values, strict=True):
                 setpoints = np.array([node.setpoint(time_us) for node in lock.plant.nodes])
                 np.testing.assert_allclose(value, setpoints.T.ravel(), rtol=1e-12, atol=1e-9)

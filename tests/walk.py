@@ -93,6 +93,7 @@ class Walk:
         self.last_power, self.last_brake = False, True  # whatever the last life left
         self.brake_since = self.state_since = self.rig.now
         self.stopped_since: int | None = None
+        self.held_up = False  # since then the guard may have the output
         self.task = False
         self.rest: int | None = None
         self.last_us = node.system_us(self.rig.now)
@@ -230,6 +231,7 @@ class Walk:
         else:  # the servo is held up
             pause_us = rng.choice([1000, 3000, 5000, 20_000])
             rig.now += pause_us
+            self.held_up = True
             self.state_since += pause_us  # nobody can act
             if self.stopped_since is not None:
                 self.stopped_since += pause_us
@@ -292,6 +294,11 @@ class Walk:
                 raise Broken(f"power off before the brake is on, in {state.name}")
             if S.ARMED <= state <= S.HOLD:
                 raise Broken(f"no power in {state.name}")
+        self.held_up &= node.tripped
+        if node.tripped and not self.held_up:
+            raise Broken(f"the guard brakes an axis in good time, in {state.name}")
+        if node.tripped and (node.duty_q15 or not brake):
+            raise Broken(f"the guard does not hold, in {state.name}")
         if not power and node.duty_q15:
             raise Broken("duty without power")
         late_us = 2 * PERIOD_US

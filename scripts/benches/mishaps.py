@@ -38,7 +38,16 @@ MISHAPS: dict[str, tuple[list[str], float]] = {
         ["sim.mishaps=[{{kind: supply_sag, at_s: {at}, joint: {joint}, supply_V: {volts}}}]"],
         0.6,
     ),
+    "firmware hangs": (
+        ["sim.mishaps=[{{kind: firmware_hangs, at_s: {at}, joint: {joint}, for_s: {hang}}}]"],
+        0.45,  # the others' plan, and what the jerk of the brake leaves swinging
+    ),
 }
+
+
+# The hung axis itself: late_us, a call of the guard and the brake's time are 20 ms; then it slips
+# in its brake while the others pull at it.
+HUNG_S = 0.12
 
 
 def run(job: tuple[str, int]) -> dict[str, Any]:
@@ -47,7 +56,8 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
     name, seed = job
     rng = np.random.default_rng(seed)
     at, joint, volts = rng.uniform(0.4, 2.7), rng.choice(["q1", "q2"]), rng.uniform(5, 30)
-    changes = [text.format(at=at, joint=joint, volts=volts) for text in MISHAPS[name][0]]
+    hang = rng.choice([rng.uniform(0.006, 0.06), rng.uniform(0.06, 2)])
+    changes = [text.format(at=at, joint=joint, volts=volts, hang=hang) for text in MISHAPS[name][0]]
     config = load_config(
         CONFIGS / "arm2.yaml", [*changes, f"seed={seed}", f"duration_s={at + AFTER_S}"]
     )
@@ -65,9 +75,7 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
     rests = [float(time_s[np.flatnonzero(np.abs(velocity[:, a]) > STILL)[-1]]) for a in axes]
     rested = time_s >= max(rests) + SETTLED_S
     room = min(
-        float(
-            min(position[:, a].min() - axis.position_min, axis.position_max - position[:, a].max())
-        )
+        float(min(position[:, a].min() - axis.lowest, axis.highest - position[:, a].max()))
         for a, axis in enumerate(config.machine.axes)
     )
     struck = next((i for i, axis in enumerate(config.machine.axes) if axis.joint == joint), 0)
@@ -77,6 +85,7 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
         "room": room,
         "sag": 1e3 * float(np.ptp(position[rested], axis=0).max()),
         "peer": lockstep.device_states()[1 - struck],
+        "struck": rests[struck],
         "said": said,
     }
 
@@ -108,6 +117,8 @@ def main() -> int:
             goal(f"{name}: way to a limit [rad]", min(r["room"] for r in mine), ">", 0.0),
             goal(f"{name}: moved at rest [mrad]", max(r["sag"] for r in mine), "<=", 1.0),
         ]
+    hung = [r["struck"] for (name, _), r in zip(jobs, results, strict=True) if "hangs" in name]
+    goals.append(goal("firmware hangs: rest of the hung axis [s]", max(hung), "<=", HUNG_S))
     table("mishaps, arm2 as shipped", rows)
     for said in sorted({r["said"] for r in results})[:12]:
         print(f"    {said}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from headway.cli.summary import REST_MOVE, REST_SPEED, REST_WINDOW_S, judged
 from headway.configs.schema import Config
 from headway.controller.reference import ENTRY_S
-from headway.devices.axis import AxisUnits
+from headway.devices.axis import AxisUnits, whole_turns
 from headway.firmware import _core
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -53,8 +53,8 @@ def beyond_limits(config: Config, arrays: Arrays, margin: float = 0.0) -> list[s
     share, truth_s, servo_s = 1 - margin, arrays["truth_s"], arrays["servo_s"]
     for i, axis in enumerate(config.machine.axes):
         unit, tq = axis.unit, AxisUnits.of(axis, config.loop).tq_per_effort
-        room = margin * (axis.position_max - axis.position_min)
-        low, high, speed = axis.position_min + room, axis.position_max - room, axis.velocity_limit
+        room = 0.0 if axis.continuous else margin * (axis.highest - axis.lowest)
+        low, high, speed = axis.lowest + room, axis.highest - room, axis.velocity_limit
         effort_name = "torque" if unit == "rad" else "force"
         effort, effort_tq = share * axis.effort_limit, arrays["servo_torque_tq"][:, i]
         q, v = arrays["truth_position"][:, i], arrays["truth_velocity"][:, i]
@@ -102,7 +102,8 @@ def tracks_badly(
     in_task = judged(truth_s, arrays)
     if not np.any(in_task):
         return [TOO_SHORT]
-    error = 1e3 * np.abs(arrays["truth_position"] - arrays["truth_reference"])[in_task]
+    way = (arrays["truth_position"] - arrays["truth_reference"])[in_task]
+    error = 1e3 * np.abs(way - whole_turns(config.machine.axes, way))
     found, tracking = [], summary["tracking"]
     for i, axis in enumerate(config.machine.axes):
         worst = int(np.argmax(error[:, i]))
@@ -126,7 +127,8 @@ def estimates_badly(
     in_task = judged(now_s, arrays)
     if not np.any(in_task):
         return [TOO_SHORT]
-    error = np.abs(arrays["now_estimate"][:, : len(axes)] - arrays["actual_position"])[in_task]
+    way = (arrays["now_estimate"][:, : len(axes)] - arrays["actual_position"])[in_task]
+    error = np.abs(way - whole_turns(axes, way))
     found = []
     for i, axis in enumerate(axes):
         per_count = AxisUnits.of(axis, config.loop).unit_per_count

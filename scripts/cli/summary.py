@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from headway.cli.versions import versions
 from headway.configs.schema import Config
 from headway.controller.reference import ENTRY_S
-from headway.devices.axis import AxisUnits
+from headway.devices.axis import AxisUnits, whole_turns
 from headway.sim.lockstep import Lockstep
 
 Array = NDArray[np.float64]
@@ -93,9 +93,11 @@ def judged(time_s: Array, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.bool
 
 
 def _tracking(config: Config, arrays: Arrays) -> dict[str, Any]:
-    """The plant's true position against the task's reference."""
+    """The plant's true position against the task's reference, without whole turns between them
+    where an axis is continuous."""
     in_task = judged(arrays["truth_s"], arrays)
-    error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[in_task]
+    way = (arrays["truth_position"] - arrays["truth_reference"])[in_task]
+    error = 1e3 * (way - whole_turns(config.machine.axes, way))
     units = [f"m{axis.unit}" for axis in config.machine.axes]
     return {"rms": _rms(error), "max": _max(error), "unit": units}
 
@@ -109,12 +111,14 @@ def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
     truth = CubicHermiteSpline(
         arrays["truth_s"], arrays["truth_position"], arrays["truth_velocity"]
     )
-    rate, states = truth.derivative(), 2 * len(lockstep.config.machine.axes)
+    axes = lockstep.config.machine.axes
+    rate, n = truth.derivative(), len(axes)
     rms: dict[str, Any] = {}
     for which in ("now", "commit"):
         time_s = arrays[f"{which}_s"]
         true_state = np.hstack((truth(time_s), rate(time_s)))
-        error = arrays[f"{which}_estimate"][:, :states] - true_state
+        error = arrays[f"{which}_estimate"][:, : 2 * n] - true_state
+        error[:, :n] -= whole_turns(axes, error[:, :n])
         rms[f"rms_{which}"] = _rms(error[judged(arrays["now_s"], arrays)])
     estimator = lockstep.loop.estimator
     nis = estimator.nis_sum / estimator.accepted if estimator.accepted else None
@@ -192,10 +196,10 @@ def _violations(config: Config, arrays: Arrays) -> list[str]:
         speed = np.max(np.abs(arrays["truth_velocity"][:, i]))
         torque_tq = np.max(np.abs(arrays["servo_torque_tq"][:, i]))
         beyond = []
-        if low < axis.position_min:
-            beyond.append(f"position {low:.6g} {unit} below {axis.position_min:g}")
-        if high > axis.position_max:
-            beyond.append(f"position {high:.6g} {unit} above {axis.position_max:g}")
+        if low < axis.lowest:
+            beyond.append(f"position {low:.6g} {unit} below {axis.lowest:g}")
+        if high > axis.highest:
+            beyond.append(f"position {high:.6g} {unit} above {axis.highest:g}")
         if speed > axis.velocity_limit:
             beyond.append(f"velocity {speed:.6g} {unit}/s above {axis.velocity_limit:g}")
         if torque_tq > round(axis.effort_limit * tq_per_effort):  # as the device has it

@@ -15,8 +15,12 @@ from random import Random
 
 import codec
 import gate
+import group
+import guard
 import handshake
+import history
 import payload
+import servo
 import settings
 import stop
 import track
@@ -43,6 +47,10 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "gaps": stop.gaps,
     "homing": stop.homing,
     "monitors": watch.monitors,
+    "guards": guard.guards,
+    "groups": group.groups,
+    "histories": history.histories,
+    "servos": servo.servos,
     "settings": settings.settings,
     "stores": settings.stores,
 }

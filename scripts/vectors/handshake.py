@@ -15,9 +15,9 @@ HELLO, WELCOME = 6, 7
 PROOF = 1  # the label under which a device's proof is hashed
 
 
-def _ended(body: bytes) -> bytes:
+def _ended(body: bytes, size: int = SIZE) -> bytes:
     """Zeros up to the size, and the CRC."""
-    body = body.ljust(SIZE - 4, b"\0")
+    body = body.ljust(size - 4, b"\0")
     return body + zlib.crc32(body).to_bytes(4, "little")
 
 
@@ -72,12 +72,16 @@ def handshakes(rng: Random) -> Iterator[str]:
         yield judged(_ended(bytes(proof)))
     # several faults at once: noise, version, type, nonce, proof, in this order
     for version in (1, 0, 2):
-        for kind in (WELCOME, HELLO, 3):
+        for kind in (WELCOME, HELLO, 3, WELCOME + 1):
             for nonce in (host, device):
                 for key_ in (key, host):
                     yield judged(_welcome(key_, nonce, device, version, kind))
+    for size in (SIZE - 1, SIZE + 1, 2 * SIZE):  # whole, but of another size
+        longer = _welcome(key, host, device)[:-4][: size - 4]
+        yield judged(_ended(longer, size))
+        yield line("hello-decode", frame=_ended(hello[:18], size))
     for size in (0, 1, 2, 3, 20, 45, 46, 47, 1020):  # frames of another size, and cut ones
-        for kind in (WELCOME, 3):
+        for kind in (WELCOME, 3, WELCOME + 1):
             frame = bytes([1, kind]) + bytes(1018)
             yield judged(frame[:size])
             yield line("hello-decode", frame=frame[:size])

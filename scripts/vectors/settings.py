@@ -155,6 +155,7 @@ def _bounds() -> Iterator[str]:
         yield valid(low_pq=low, high_pq=high)
     for size in (0, 1, 25, 26):
         yield valid(name=b"x" * size)
+    yield valid(name=b"x" * 25 + b"\x80")  # the end of a longer one, whatever a char is
     for bounded in (0, 1):
         for continuous in (0, 1):
             yield valid(bounded=bounded, position=[continuous, -900, 900, 500, 60, 50])
@@ -175,9 +176,24 @@ def _bounds() -> Iterator[str]:
 BOOTS, FAULTS, SETTINGS = 2, 4, 0
 
 
+def _crc(body: bytes) -> bytes:
+    return zlib.crc32(body).to_bytes(4, "little")
+
+
 def _record(generation: int, payload: bytes = b"") -> bytes:
     body = generation.to_bytes(4, "little") + payload
-    return body + zlib.crc32(body).to_bytes(4, "little")
+    return body + _crc(body)
+
+
+def _cut_short() -> Iterator[str]:
+    """Saves whose last byte is missing, over a record that ended with the same one: they failed."""
+    for number in (700, 701, 702):
+        end = _record(number)[-1]
+        old = next(n for n in range(1, number - 1) if _record(n)[-1] == end)
+        for first in (0, 1):
+            yield line("store-record", record=BOOTS + first, bytes=_record(number - 1))
+            yield line("store-record", record=BOOTS + 1 - first, bytes=_record(old))
+            yield line("store-boot", kept=7)
 
 
 def stores(rng: Random) -> Iterator[str]:
@@ -212,9 +228,19 @@ def stores(rng: Random) -> Iterator[str]:
         yield line("store-boot", kept=kept)
         yield line("store-boot")
     yield line("store-blank")
-    for at in (0, 7):
+    for at in (0, 7, 3, 4, 5, 6, 0, 7, 0, 7):
         yield line("store-boot", flipped=at)
         yield line("store-boot")
+    yield from _cut_short()
+    for _ in range(2):
+        yield line("store-boot", grown=1)
+        yield line("store-boot")
+    for body in (b"", b"\1", b"\1\0\0"):  # whole, but with no room for a generation
+        yield line("store-blank")
+        yield line("store-record", record=BOOTS, bytes=body + _crc(body))
+        yield line("store-boot")
+        yield line("store-record", record=SETTINGS, bytes=body + _crc(body))
+        yield line("store-load-settings")
     yield line("store-load-faults")
     for count, kept in ((1, 512), (2, 512), (9, 512), (10, 200), (11, 512), (12, 251), (13, 252)):
         yield line("store-save-faults", count=count, kept=kept)

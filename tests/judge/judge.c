@@ -20,8 +20,9 @@ struct field {
     bool taken;
 };
 
-static const struct word *const tables[] = {codec_words,  handshake_words, payload_words,
-                                            motion_words, stop_words,      settings_words};
+static const struct word *const tables[] = {
+    codec_words,    handshake_words, payload_words, motion_words,  stop_words,
+    settings_words, guard_words,     group_words,   history_words, servo_words};
 static const char *file_name;
 static int32_t line_number;
 static struct field fields[FIELDS_MAX];

@@ -1,7 +1,7 @@
 // Replays settings-* and store-*: what a board is set up with, and what it remembers.
 #include "settings.h"
-#include "board.h" // whose memory alone is here
 #include "judge.h"
+#include "rack.h" // whose memory alone is here
 #include "sinks.h"
 #include "store.h"
 #include <string.h>
@@ -151,17 +151,6 @@ static void replay_settings_decode(void) {
         say("malformed");
 }
 
-struct memory {
-    int32_t size;
-    uint8_t bytes[BOARD_RECORD_MAX];
-};
-
-struct board {
-    struct memory memory[RECORDS];
-    int32_t kept;    // bytes of the next save that the memory takes
-    int32_t flipped; // the byte of it whose lowest bit the memory takes wrongly; -1: none
-};
-
 static struct board board;
 
 int32_t board_load(const struct board *of, enum board_record record, uint8_t *bytes,
@@ -177,6 +166,7 @@ void board_save(struct board *of, enum board_record record, const uint8_t *bytes
     struct memory *memory = &of->memory[record];
     memory->size = size < of->kept ? size : of->kept;
     memcpy(memory->bytes, bytes, (size_t)memory->size);
+    memory->size += of->grown;
     if (of->flipped >= 0)
         memory->bytes[of->flipped] ^= 1;
     say_number("record", record);
@@ -192,6 +182,7 @@ static void replay_store_record(void) {
 }
 
 static void take_kept(void) {
+    board.grown = is_given("grown") ? (int32_t)given("grown") : 0;
     board.kept = is_given("kept") ? (int32_t)given("kept") : BOARD_RECORD_MAX;
     board.flipped = is_given("flipped") ? (int32_t)given("flipped") : -1;
 }

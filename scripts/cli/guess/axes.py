@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from headway.configs.axis import LinearAxis, RotaryAxis
 from headway.models.stated import Joint
 
 RANGE = {"rad": 3.0, "m": 0.25}  # either way, where the model has none
+ENDLESS = "if it turns for ever say `continuous: true` instead of this and the next"
 # Acceleration that an unstated effort limit is made for, and beyond which a stated one is not
 # believed [rad/s^2, m/s^2]: models often have 1000 Nm where nobody knew.
 BUILT_FOR = {"rad": 30.0, "m": 5.0}
@@ -16,7 +18,7 @@ BELIEVED = {"rad": 1000.0, "m": 150.0}
 
 @dataclass(frozen=True)
 class Value:
-    """A number for the file, and why if it is a guess."""
+    """A number (or true) for the file, and why if it is a guess."""
 
     number: float
     why: str = ""  # empty: the model states it
@@ -39,6 +41,13 @@ class AxisGuess:
         """Of its positions."""
         return "m" if self.joint.linear else "rad"
 
+    @property
+    def poses(self) -> tuple[float, float]:
+        """Its range, or one turn where it turns for ever [rad or m]."""
+        if self.joint.continuous:
+            return -math.pi, math.pi
+        return self["position_min"], self["position_max"]
+
     def __getitem__(self, attribute: str) -> float:
         return self.values[attribute].number
 
@@ -56,10 +65,12 @@ def axes_of(joints: list[Joint]) -> list[AxisGuess]:
     axes = []
     for joint in joints:
         axis = AxisGuess(joint)
-        if joint.position is None:
-            most = RANGE[axis.unit]
-            axis.guess("position_min", -most, "the model has no range")
-            axis.guess("position_max", most, "the model has no range")
+        if joint.continuous:
+            axis.state("continuous", True)
+        elif joint.position is None:
+            most, why = RANGE[axis.unit], "the model has no range"
+            axis.guess("position_min", -most, why if joint.linear else f"{why}; {ENDLESS}")
+            axis.guess("position_max", most, why)
         else:
             axis.state("position_min", joint.position[0])
             axis.state("position_max", joint.position[1])

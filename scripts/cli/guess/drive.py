@@ -98,7 +98,7 @@ def _encoder(axis: AxisGuess, servo_period_s: float) -> None:
         axis.state("counts_per_turn", round(board.counts_per_unit * turn))
     else:
         needed = axis["servo.kd"] / servo_period_s / (COUNT_SHARE * axis["effort_limit"])
-        reach = max(abs(axis["position_min"]), abs(axis["position_max"]))
+        reach = max(map(abs, axis.poses))  # a continuous axis could go further, but need not
         why = f"one count moves the servo by less than {COUNT_SHARE:.0%} of its limit"
         if axis.joint.linear:
             counts = _finest(COUNTS_PER_M, max(needed, COUNTS_PER_M_USUAL), COUNTS_MAX / reach)

@@ -46,7 +46,7 @@ def _standing_still(model: Path, target: Path) -> Draft:
     """All but the task and the horizon."""
     machine = load_machine(model)
     axes: list[AxisGuess] = axes_of(stated(model, machine.joints))
-    low, high = (np.array([axis[f"position_{end}"] for axis in axes]) for end in ("min", "max"))
+    low, high = np.array([axis.poses for axis in axes]).T
     reach = envelope(machine, low, high)
     damping = dampings(reach, np.array(machine.model.damping))
     stiffness = stiffnesses(reach, damping)

@@ -49,9 +49,10 @@ def _effort(axis: AxisGuess, most: float, load: float) -> None:
 def _speed(axis: AxisGuess, most: float, load: float) -> None:
     stated, effort, board = axis.joint.velocity, axis["effort_limit"], axis.joint.board
     spare = max(effort - load, 0.2 * effort)
-    room = axis["position_max"] - axis["position_min"]
-    reached = 0.5 * math.sqrt(spare / most * room)
-    why = "half of what the effort reaches over the range"
+    low, high = axis.poses
+    reached = 0.5 * math.sqrt(spare / most * (high - low))
+    where = "a turn" if axis.joint.continuous else "the range"
+    why = f"half of what the effort reaches over {where}"
     if board is not None:
         constant = board.gear * board.torque_constant_Nm_per_A
         rest_V = SUPPLY_SHARE * board.supply_V - board.resistance_ohm * effort / constant

@@ -32,7 +32,7 @@ def gentle_task(subject: Subject) -> Gentle | None:
     """The first that holds: around the middle of the range if possible, as large as may be, without
     two bodies that touch. None if there is no pose to hold with half of the efforts."""
     n = len(subject.axes)
-    span = np.array([axis.position_max - axis.position_min for axis in subject.axes])
+    span = np.diff([axis.poses for axis in subject.axes])[:, 0]
     most = np.array([AMPLITUDE_MAX[axis.unit] for axis in subject.axes])
     speed = np.array([axis.velocity_limit for axis in subject.axes])
     phase = np.round(2 * np.pi * np.arange(n) / n, 3)  # not all axes turn back at once
@@ -50,8 +50,7 @@ def gentle_task(subject: Subject) -> Gentle | None:
 
 def _centres(subject: Subject) -> Iterator[Array]:
     """The middle of the range, then others around it by how little they load the drives."""
-    low = np.array([axis.position_min for axis in subject.axes])
-    high = np.array([axis.position_max for axis in subject.axes])
+    low, high = np.array([axis.poses for axis in subject.axes]).T
     yield (low + high) / 2
     shares = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(CENTRES)
     centres = low + (0.25 + 0.5 * shares) * (high - low)

@@ -114,7 +114,9 @@ def _line(indent: str, key: str, value: str, why: str) -> str:
 
 
 def _number(number: float) -> str:
-    """Shortest decimal of twelve digits, and a float stays one for YAML."""
+    """Shortest decimal of twelve digits, and a float stays one for YAML; or true."""
+    if number is True:
+        return "true"
     if number == int(number) and abs(number) < 1e9:
         return str(int(number))
     return f"{number:.12g}"

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from headway.cli.page.plot import Array, Curve, Level, Plot
 from headway.cli.page.section import Section, levels
 from headway.cli.page.shown import Shown
-from headway.devices.axis import AxisUnits
+from headway.devices.axis import AxisUnits, whole_turns
 
 SIGMAS = 2.0
 INSIDE = 0.954  # of a normal distribution, within that
@@ -33,9 +33,11 @@ def tracking(shown: Sequence[Shown]) -> Section:
             truth_s, now_s = run.arrays["truth_s"], run.arrays["now_s"]
             reference = run.arrays["truth_reference"][:, i]
             seen = run.arrays["now_estimate"][:, i] - np.interp(now_s, truth_s, reference)
+            seen -= whole_turns([axis], seen[:, None])[:, 0]
             task = truth_s <= run.end_s
             time_s = truth_s[task]
-            error = 1e3 * (run.arrays["truth_position"][:, i] - reference)[task]
+            way = (run.arrays["truth_position"][:, i] - reference)[task]
+            error = 1e3 * (way - whole_turns([axis], way[:, None])[:, 0])
             band = 1e3 * (seen[:, None] + _band(run, i))
             name = run.label(f"estimated, ± {SIGMAS:g} sigma")
             plot.add(now_s, [Curve(name, band, run.colour, "band")], run.points)
@@ -65,6 +67,7 @@ def estimate(shown: Sequence[Shown]) -> Section:
             known = (now_s >= truth_s[0]) & (now_s <= truth_s[-1])
             time_s, band = now_s[known], _band(run, i)[known]
             error = run.arrays["now_estimate"][known, i] - _truth(run, i, time_s)
+            error -= whole_turns([axis], error[:, None])[:, 0]
             curves = [
                 Curve(run.label(f"± {SIGMAS:g} sigma"), 1e3 * band, run.colour, "band"),
                 Curve(run.label("estimated - true"), 1e3 * error, run.colour),
@@ -102,8 +105,8 @@ def position(shown: Sequence[Shown]) -> Section:
     )
     shared = all(run.config.task == shown[0].config.task for run in shown)
     for i, axis in enumerate(shown[0].config.machine.axes):
-        bounds = ((axis.position_min, "least"), (axis.position_max, "greatest"))
-        ends = [Level(value, name, reached=False) for value, name in bounds]
+        bounds = ((axis.lowest, "least"), (axis.highest, "greatest"))
+        ends = [Level(value, name, reached=False) for value, name in bounds if np.isfinite(value)]
         plot = Plot(axis.joint, f"position [{axis.unit}]", levels=ends)
         for run in shown:
             time_s = run.arrays["truth_s"]

@@ -75,19 +75,21 @@ def _integers(subject: Subject) -> Rule:
 
 
 def _counts(subject: Subject) -> Rule:
-    """Positions as counts fit a control point."""
-    most = _core.POINT_MAX / (1 << _core.COUNT_BITS)
-    return worst(
+    """Positions as counts fit a control point; those of a continuous axis begin anew."""
+    name, most = "encoder: counts over the range", _core.POINT_MAX / (1 << _core.COUNT_BITS)
+    rules = [
         at_most(
-            "encoder: counts over the range",
-            max(abs(axis.position_min), abs(axis.position_max)) * axis.counts_per_unit,
+            name,
+            max(abs(axis.lowest), abs(axis.highest)) * axis.counts_per_unit,
             most,
             "counts",
             f"a coarser encoder, or a smaller range of {axis.joint} around zero",
             axis.joint,
         )
         for axis in subject.axes
-    )
+        if not axis.continuous
+    ]
+    return worst(rules) if rules else Rule(name, Status.OK)
 
 
 def _resolution(subject: Subject) -> Rule:

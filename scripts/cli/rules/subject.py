@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from headway.configs.axis import Axis
 from headway.configs.schema import Config
 from headway.controller.reference import Sines
+from headway.devices.axis import TURN
 from headway.models.envelope import Envelope, envelope
 from headway.models.machine import Machine, load_machine
 from headway.models.stated import Joint, stated
@@ -64,9 +65,8 @@ class Subject:
 
     @cached_property
     def envelope(self) -> Envelope:
-        """Inertias and static loads over the config's range."""
-        low = np.array([axis.position_min for axis in self.axes])
-        high = np.array([axis.position_max for axis in self.axes])
+        """Inertias and static loads over the config's range, or over one turn."""
+        low, high = np.array([axis.poses for axis in self.axes]).T
         return envelope(self.machine, low, high)
 
     def effort(self, position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -80,11 +80,14 @@ class Subject:
 
     @cached_property
     def motion(self) -> Motion:
-        """The task over its period, but no longer than it lasts."""
+        """The task over its period, but no longer than it lasts. Where an axis turns on and on it
+        does not repeat: several periods, and at least one turn of each."""
         task = self.config.task
         harmonics = np.array([sine.harmonic for sine in task.axes])
-        periods = 1.0 if np.all(harmonics == np.round(harmonics)) else PERIODS_MAX
-        length_s = min(periods / task.frequency_Hz, self.config.duration_s)
+        turns_s = [TURN / abs(sine.rate) for sine in task.axes if sine.rate != 0]
+        repeats = not turns_s and np.all(harmonics == np.round(harmonics))
+        periods_s = (1.0 if repeats else PERIODS_MAX) / task.frequency_Hz
+        length_s = min(max(periods_s, *turns_s, 0.0), self.config.duration_s)
         fastest_s = 1 / (task.frequency_Hz * float(harmonics.max()))
         step_s = min(self.config.loop.knot_us * 1e-6, fastest_s / SAMPLES)
         time_s = np.arange(0, length_s, step_s)

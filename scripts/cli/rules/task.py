@@ -33,15 +33,17 @@ def task_rules(subject: Subject) -> Iterator[Rule]:
 
 def _range(subject: Subject) -> Rule:
     """Start and task inside the range; beyond the room that plans keep to it they are cut."""
-    limits, rules = Limits.of(subject.config), []
+    name, limits, rules = "task: room to the position limits", Limits.of(subject.config), []
     for i, axis in enumerate(subject.axes):
+        if axis.continuous:
+            continue
         points = np.append(subject.motion.position[:, i], subject.start[i])
         low, high = float(limits.soft_min[i]), float(limits.soft_max[i])
         rules.append(
             at_least(
-                "task: room to the position limits",
-                float(min(points.min() - axis.position_min, axis.position_max - points.max())),
-                max(low - axis.position_min, axis.position_max - high),
+                name,
+                float(min(points.min() - axis.lowest, axis.highest - points.max())),
+                max(low - axis.lowest, axis.highest - high),
                 axis.unit,
                 f"{axis.joint} goes from {points.min():.4g} to {points.max():.4g} {axis.unit}; "
                 f"plans keep to {low:.4g} to {high:.4g}: change task.axes.{i}, "
@@ -50,20 +52,24 @@ def _range(subject: Subject) -> Rule:
                 fail=0.0,
             )
         )
-    return worst(rules)
+    return worst(rules) if rules else Rule(name, Status.OK)
 
 
 def _model_range(subject: Subject) -> Rule:
-    """The config's range is not wider than the model's."""
+    """The config's range is not wider than the model's; an axis that turns for ever has none."""
     rules = []
     for axis, joint in zip(subject.axes, subject.joints, strict=True):
         if joint.position is None:
             continue
         low, high = joint.position
-        beyond = max(low - axis.position_min, axis.position_max - high)
+        ends = f"the model's joint ends at {low:.6g} and {high:.6g} {axis.unit}"
+        if axis.continuous:
+            remedy = f"{ends}: {axis.joint} is not continuous; give it position limits within"
+            return Rule("range: beyond the model's", Status.FAIL, axis=axis.joint, remedy=remedy)
+        beyond = max(low - axis.lowest, axis.highest - high)
         remedy = (
-            f"the model's joint ends at {low:.6g} and {high:.6g} {axis.unit}: keep "
-            f"{axis.key('position_min')} and {axis.key('position_max')} of {axis.joint} within"
+            f"{ends}: keep {axis.key('position_min')} and {axis.key('position_max')} of "
+            f"{axis.joint} within"
         )
         tolerance = 1e-6 * (high - low)  # what is written with few digits
         name = "range: beyond the model's"
