@@ -2,10 +2,11 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define STAMP_US 1            // stamps are whole microseconds, rounded down
-#define STEER_SHIFT 1         // an offset fades with a time constant of 2^17 us
-#define STEER_MAX_Q32 1288490 // and is slewed in at 300 ppm at most
-#define STEP_Q16 (8 << 16)    // a clock that may step does so beyond it
+#define STAMP_US 1                // stamps are whole microseconds, rounded down
+#define STEER_SHIFT 1             // an offset fades with a time constant of 2^17 us
+#define STEER_MAX_Q32 1288490     // and is slewed in at 300 ppm at most
+#define STEP_Q16 (8 << 16)        // a clock that may step does so beyond it
+#define OFFSET_MAX_US (1LL << 44) // half a year from the first sample: no clock runs so far
 
 static struct bounds_limits limits_of(const struct sync_settings *settings) {
     // 2^32 / 10^6 and 2^64 / 10^15, rounded up.
@@ -30,6 +31,11 @@ static void begin(struct sync *sync, const struct bounds_limits *limits,
     clock_set(clock, sync->bounds.base_us, 0);
 }
 
+// Whether an offset may be had in Q16.
+static bool is_near(int64_t offset_us) {
+    return offset_us <= OFFSET_MAX_US && offset_us >= -OFFSET_MAX_US;
+}
+
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
                const struct stamps *stamps, uint32_t arrived_us, uint32_t now_count_us) {
     struct bounds_limits limits = limits_of(settings);
@@ -45,7 +51,8 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
         stamps->sent_us - arrived - bounds->base_us - STAMP_US + settings->to_device_least_us;
     int64_t upper_us =
         stamps->received_us - echo - bounds->base_us + STAMP_US - settings->to_host_least_us;
-    bool taken = bounds_prove(bounds, &limits, false, lower_us * (1 << 16), arrived) &&
+    bool taken = is_near(lower_us) && (!echoes || is_near(upper_us)) &&
+                 bounds_prove(bounds, &limits, false, lower_us * (1 << 16), arrived) &&
                  (!echoes || bounds_prove(bounds, &limits, true, upper_us * (1 << 16), echo));
     if (!taken) {
         sync->excluded++;
