@@ -2,7 +2,8 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define SOLVE_ROUNDS 8 // of Newton's method; each ends with a valid bound
+#define SOLVE_ROUNDS 8             // of Newton's method; each ends with a valid bound
+#define NOTHING_Q16 (-(1LL << 61)) // lower than all that a proof says
 
 void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
                   int64_t ticks_us) {
@@ -18,10 +19,13 @@ static int64_t slack_q16(const struct bounds_limits *limits, int64_t age_us) {
     return ((age * age * limits->wander_q64) >> 29) + 1;
 }
 
-// What a line says now if the skew is `skew_q32`, rounded down.
+// What a line says now if the skew is `skew_q32`, rounded down. One that is too old says nothing: a
+// side keeps it only to have one.
 static int64_t line_q16(const struct bounds_limits *limits, const struct bounds_line *line,
                         int64_t ticks_us, int64_t skew_q32) {
     int64_t age_us = ticks_us - line->ticks_us;
+    if (age_us > BOUNDS_AGE_MAX)
+        return NOTHING_Q16;
     return line->value_q16 + ((skew_q32 * age_us) >> 16) - slack_q16(limits, age_us);
 }
 
