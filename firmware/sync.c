@@ -88,8 +88,10 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     if (!sync->begun)
         return false;
     bounds_advance(bounds, &limits, clock->ticks_us);
-    if (!bounds_closed(bounds))
+    if (!bounds_closed(bounds)) {
+        sync->wide_us = clock->ticks_us;
         return false;
+    }
     int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
     int64_t behind_q16 = bounds_middle_q16(bounds) - offset_q16;
     bool steps = may_step && (behind_q16 > STEP_Q16 || behind_q16 < -STEP_Q16);
