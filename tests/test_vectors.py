@@ -104,7 +104,7 @@ def test_the_files_are_what_the_generator_writes(judge: Path) -> None:
 
 
 def test_they_stay_small() -> None:
-    assert sum(path.stat().st_size for path in FILES) < 1_600_000
+    assert sum(path.stat().st_size for path in FILES) < 2_000_000
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -432,7 +432,7 @@ def little(value: int, size: int) -> bytes:
     return (value % (1 << 8 * size)).to_bytes(size, "little")
 
 
-STAMPS = ("status_us", "status_received_us", "sent_us")
+STAMPS = ("received_us", "sent_us")  # behind the count that is echoed
 
 
 def fitting(v: Vector, payload: bytes | None) -> str:
@@ -442,7 +442,11 @@ def fitting(v: Vector, payload: bytes | None) -> str:
 
 
 def stamps(v: Vector) -> bytes:
-    return b"".join(little(v.number(name), 8) for name in STAMPS)
+    return little(v.number("echo_us"), 4) + b"".join(little(v.number(n), 8) for n in STAMPS)
+
+
+def told_stamps(reader: Reader) -> str:
+    return " ".join([f"echo_us={reader.take(4)}", *(f"{name}={reader.time()}" for name in STAMPS)])
 
 
 def judge_varint_encode(v: Vector) -> str:
@@ -468,7 +472,7 @@ def judge_sync_encode(v: Vector) -> str:
 
 def judge_sync_decode(v: Vector) -> str:
     reader = Reader(v.bytes("payload"))
-    text = " ".join(f"{name}={reader.time()}" for name in STAMPS)
+    text = told_stamps(reader)
     reader.done()
     return text
 
@@ -502,7 +506,7 @@ def runs(values: list[int]) -> str:
 
 def judge_plan_decode(v: Vector) -> str:
     reader = Reader(v.bytes("payload"))
-    text = " ".join(f"{name}={reader.time()}" for name in STAMPS)
+    text = told_stamps(reader)
     number, epoch, first_knot = reader.take(4), reader.take(2), reader.take(8, signed=True)
     tracks, count = reader.take(1), reader.take(1)
     if not (3 <= count <= 128 and 0 < tracks < 32):
@@ -524,18 +528,24 @@ def judge_plan_decode(v: Vector) -> str:
 
 
 STATUS = (
+    *(("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4)),
+    *(("heard_us", 8), ("heard_age_us", 4)),
     *(("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4)),
     *(("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1)),
     *(("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4)),
     *(("fault_position_pq", 4), ("fault_torque_tq", 4), ("plan_seen", 4), ("plan_accepted", 4)),
     *(("accepted_mask", 4), ("plans_accepted", 4), ("plans_late", 4), ("plans_refused", 4)),
-    *(("frames_bad", 4), ("coasts", 4), ("torque_peak_tq", 4), ("torque_clipped", 4)),
-    ("sample_count", 1),
+    *(("frames_bad", 4), ("coasts", 4), ("stamps_excluded", 4)),
+    *(("torque_peak_tq", 4), ("torque_clipped", 4), ("sample_count", 1)),
 )
 
 
 FLAGS = ("synced", "homed", "released", "grouped")
-SIGNED = {name for name, _ in STATUS if name.endswith(("_tq", "time_us", "value", "limit", "_pq"))}
+SIGNED = {
+    name
+    for name, _ in STATUS
+    if name.endswith(("_tq", "_ns", "rate_q32", "heard_us", "time_us", "value", "limit", "_pq"))
+}
 
 
 def judge_status_encode(v: Vector) -> str:
@@ -984,7 +994,7 @@ BYTES |= {"command-encode": judge_command_encode, "command-decode": judge_comman
 
 FAULT = (("reason", 1), ("state", 1), ("boots", 4), ("time_us", 8))
 FAULT_SIGNED = ("value", "limit", "position_pq", "torque_tq")
-RESPONSES = ["tail"] * 9 + ["fault"] * 6 + ["brake"] * 5
+RESPONSES = ["tail"] * 10 + ["fault"] * 6 + ["brake"] * 5
 
 
 def test_faults_are_logged_in_a_ring_of_eight() -> None:
@@ -1157,7 +1167,7 @@ def test_homing_finds_its_mark_and_comes_to_rest() -> None:
 
 # Reasons by number, with the response to each: 0 ramp to rest, 1 ramp and output off, 2 brake.
 FOLLOWING, SPEED, ROOM, TORQUE, OUTSIDE, I2T, WINDING, UNDER, OVER, LATE, STUCK, REVERSED, SPIKE = (
-    *(4, 5, 6, 7, 10, 11, 12, 13, 14, 15, 16, 17, 18),
+    *(5, 6, 7, 8, 11, 12, 13, 14, 15, 16, 17, 18, 19),
 )
 Found = tuple[int, int, int]  # reason, value, limit
 
@@ -1325,7 +1335,7 @@ def test_the_monitor_judges_by_its_definition() -> None:
             text += f"speed_pq={watcher.speed} chopper={int(watcher.chopper)}"
             assert v.answer == text, v
             told[reason] += 1
-    assert set(told) == {0, 4, 5, 6, 7, *range(10, 19)}
+    assert set(told) == {0, 5, 6, 7, 8, *range(11, 20)}
     assert min(told.values()) >= 4, told
 
 
@@ -1355,6 +1365,10 @@ MONITOR = fields(
 HOME = fields(
     "home_method 1, home_backwards 1, home_mark_count -4, home_speed_q16 -4,"
     "home_acceleration_q16 -4, home_torque_tq -4, home_way_counts -4, home_still_periods 2"
+)
+SYNC = fields(
+    "sync_method 1, drift_ppm 2, wander_ppb_s 2, to_device_least_us 4, to_host_least_us 4,"
+    "limit_us 4, interval_us 4, phase_gain 2, skew_gain_q8 2"
 )
 BOOLEANS = {"carries_gravity", "integrate_running", "bounded", "home_backwards"}
 
@@ -1386,15 +1400,17 @@ class Settings:
 
     def encoded(self, with_key: bool) -> bytes:
         key = bytes.fromhex(self.given["key"]) if with_key else b""
-        out = b"\1" + key + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
+        out = b"\2" + key + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
         out += bytes(self.numbers("gap_policy", 5))
         for sink in SINKS:
             continuous, *limits = self.numbers(sink, 6)
             out += bytes([continuous]) + b"".join(little(x, 4) for x in limits)
-        return out + self.packed(SERVO) + self.packed(MONITOR) + self.packed(HOME)
+        return (
+            out + self.packed(SERVO) + self.packed(MONITOR) + self.packed(HOME) + self.packed(SYNC)
+        )
 
     def valid(self) -> bool:
-        """What settings.h, gate.h, gap.h, servo.h and home.h ask for."""
+        """What settings.h, gate.h, gap.h, servo.h, home.h and sync.h ask for."""
         limits = {sink: self.numbers(sink, 6) for sink in SINKS}
         for i, sink in enumerate(SINKS):
             continuous, low, high, first, second, stop = limits[sink]
@@ -1413,12 +1429,14 @@ class Settings:
             return False
         positive = ["servo_period_us", "sample_every", "torque_step_tq", "torque_limit_tq"]
         positive += ["following_pq", "speed_pq", "stuck_pq", "deceleration_q16", "spike_counts"]
-        positive += ["rise_q16", "home_acceleration_q16"]
+        positive += ["rise_q16", "home_acceleration_q16", "limit_us"]
         searching = ["home_speed_q16", "home_torque_tq", "home_way_counts"]
         least = dict.fromkeys(positive, 1)
         least |= dict.fromkeys(searching, 1 if self.number("home_method") else 0)
         most = {"torque_limit_tq": 1 << 25, "spike_counts": (1 << 18) - 1, "home_method": 3}
         most |= {"home_speed_q16": (1 << 30) - 1, "knot_shift": 15}
+        most |= {"sync_method": 1, "drift_ppm": 300, "wander_ppb_s": 60_000}
+        most |= dict.fromkeys(["to_device_least_us", "to_host_least_us", "limit_us"], 10**6)
         return (
             all(self.number(name) >= low for name, low in (least | {"knot_shift": 9}).items())
             and all(self.number(name) <= high for name, high in most.items())
@@ -1430,7 +1448,7 @@ class Settings:
 def decoded(data: bytes, with_key: bool, key: str) -> str:
     """As the judge says settings; `key` is the one that was there."""
     reader = Reader(data)
-    if reader.take(1) != 1:
+    if reader.take(1) != 2:
         raise MalformedError
     values: dict[str, str] = {"key": key}
 
@@ -1455,10 +1473,10 @@ def decoded(data: bytes, with_key: bool, key: str) -> str:
     values["gap_policy"] = runs([reader.take(1) for _ in range(5)])
     for sink in SINKS:
         values[sink] = runs([flag(), *(reader.take(4, True) for _ in range(5))])
-    for rows in (SERVO, MONITOR, HOME):
+    for rows in (SERVO, MONITOR, HOME, SYNC):
         take(rows)
     reader.done()
-    every = HEAD + SERVO + MONITOR + HOME
+    every = HEAD + SERVO + MONITOR + HOME + SYNC
     order = ["name", "key", *(name for name, size in every if size)]
     order += [name for name, size in every if not size]
     return " ".join(f"{name}={values[name]}" for name in [*order, "gap_policy", *SINKS])
