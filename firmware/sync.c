@@ -25,7 +25,7 @@ static void begin(struct sync *sync, const struct bounds_limits *limits,
     uint32_t excluded = sync->excluded;
     sync_restart(sync);
     sync->excluded = excluded;
-    sync->begun = true;
+    sync->begun = sync->stepped = true;
     sync->wide_us = sync->average.began_us = ticks_us;
     bounds_clear(&sync->bounds, limits, remote_us - ticks_us, ticks_us);
     clock_set(clock, sync->bounds.base_us, 0);
@@ -87,10 +87,12 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     struct bounds *bounds = &sync->bounds;
     if (!sync->begun)
         return false;
+    bool stepped = sync->stepped;
+    sync->stepped = false;
     bounds_advance(bounds, &limits, clock->ticks_us);
     if (!bounds_closed(bounds)) {
         sync->wide_us = clock->ticks_us;
-        return false;
+        return stepped;
     }
     int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
     int64_t behind_q16 = bounds_middle_q16(bounds) - offset_q16;
@@ -110,7 +112,7 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     if (sync_error_us(sync) > (int32_t)settings->limit_us)
         sync->wide_us = clock->ticks_us;
     sync->settled = clock->ticks_us - sync->wide_us >= SYNC_SETTLE_US;
-    return steps;
+    return steps || stepped;
 }
 
 int32_t sync_error_us(const struct sync *sync) {
