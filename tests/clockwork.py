@@ -60,7 +60,7 @@ def wandering(
 
 @dataclass(frozen=True)
 class Frames:
-    """By arrival: ticks at which the host's frames left and arrived; the device's that they echo."""
+    """By arrival: ticks when the host's frames left and arrived; the device's that they echo."""
 
     sent: Reals
     arrived: Reals

@@ -115,7 +115,7 @@ def test_a_wrap_of_the_count_changes_nothing(world: World) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("drift", "wander"), [(150, 1000), (300, 60_000), (10, 10)])
 def test_the_truth_is_inside_a_long_stream(drift: int, wander: int, seed: int) -> None:
-    """Many more proofs than lines are kept; delays that now and then are a hundred times as long."""
+    """Many more proofs than lines are kept; now and then a delay is a hundred times as long."""
     rng = np.random.default_rng(seed)
 
     def delay(rng: np.random.Generator, count: int) -> Reals:
@@ -218,7 +218,7 @@ def allowed(proofs: Proofs, now_us: float, drift: float, wander: float) -> tuple
 def against_the_oracle(
     work: Clockwork, frames: Frames, drift: float, wander: float, chosen: list[int]
 ) -> list[tuple[float, float]]:
-    """The widths, told and allowed, after some of the frames; asserts that the first has the other."""
+    """The widths, told and allowed, after some frames; asserts that the first has the other."""
     told = work.follow(frames)
     widths = []
     for i in chosen:
@@ -298,7 +298,7 @@ def test_a_contradiction_changes_nothing(lie_us: int) -> None:
 def test_one_is_refused_exactly_where_nothing_is_left(lie_us: int) -> None:
     """A second frame at the same time that is `lie_us` beyond the other side of the first."""
     sync = _core.Sync(settings(drift_ppm=1, wander_ppb_s=0))
-    # Ours left at 1000: theta is 10 s + 501 at most. His arrived at 1200: it is 10 s - 201 at least.
+    # Ours left at 1000: theta is 10 s + 501 at most. His arrived at 1200: 10 s - 201 at least.
     assert sync.take((1000, 10_001_500, 10_001_000), 1200, 1200)
     width = 702
     assert sync.take((0, 0, 10_001_000 + width + lie_us), 1200, 1200) == (lie_us <= 0)
