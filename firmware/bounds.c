@@ -55,9 +55,9 @@ void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, i
     int64_t elapsed_us = ticks_us - bounds->ticks_us;
     if (elapsed_us <= 0)
         return;
-    // Beyond a minute the skew may be anything within the drift.
-    int64_t wandering_us = elapsed_us < 1 << 26 ? elapsed_us : 1 << 26;
-    int64_t wandered_q32 = ((wandering_us * limits->wander_q64) >> 32) + 1;
+    // Beyond an hour, which nobody waits, the skew may be anything within the drift.
+    int64_t wandered_q32 = elapsed_us < 1LL << 32 ? ((elapsed_us * limits->wander_q64) >> 32) + 1
+                                                  : 2 * (int64_t)limits->drift_q32;
     bounds->ticks_us = ticks_us;
     struct bounds_side *sides[] = {&bounds->lower, &bounds->upper};
     for (int32_t i = 0; i < 2; i++) {
