@@ -84,9 +84,9 @@ class Sync(Section):
     """A board whose clock may be off by more neither arms nor moves. Without known least delays
     this is half of the shortest round trip, and more.
     """
-    to_device_least_us: Delay = 0
+    to_device_least_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """No frame takes less time to a board: where it is known, it narrows the interval."""
-    to_host_least_us: Delay = 0
+    to_host_least_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """No frame takes less time to the host."""
     drift_ppm: Annotated[float, Field(gt=0, le=300)] = 200.0
     """A board's oscillator and the host's differ by this much at most."""
