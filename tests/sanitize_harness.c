@@ -295,6 +295,66 @@ static void gaps(void) {
     PROMISE(filled > 1000);
 }
 
+// Anything that settings_valid lets pass.
+static struct sync_settings random_sync(void) {
+    return (struct sync_settings){
+        .method = (uint8_t)below(SYNC_METHODS),
+        .drift_ppm = (uint16_t)(below(3) ? 100 + below(201) : below(301)),
+        .wander_ppb_s = (uint16_t)(below(3) ? below(2000) : below(SYNC_WANDER_MAX_PPB_S + 1)),
+        .to_device_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
+        .to_host_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
+        .limit_us = 1 + below(below(2) ? 1000 : SYNC_LIMIT_MAX_US),
+        .average = {below(2) ? below(100000) : random32(), (uint16_t)random32(),
+                    (uint16_t)random32()},
+    };
+}
+
+// Hosts that tell the truth, and those that tell anything; from milliseconds to half an hour apart,
+// and once over years.
+static void clocks(void) {
+    uint32_t taken = 0, excluded = 0, settled = 0, stepped = 0;
+    for (int32_t n = 0; n < 2000; n++) {
+        struct sync_settings settings = random_sync();
+        struct sync sync;
+        uint32_t count_us = random32(), echo_us = count_us;
+        struct headway_clock clock = {.count_us = count_us};
+        int64_t base_us = below(2) ? between(-PLAN_TIME_MAX, PLAN_TIME_MAX) / 2 : 0, host_us = 0;
+        uint32_t longest_us = below(3) ? 50000 : below(2) ? 40000000 : 1u << 31;
+        bool honest = below(3);
+        sync_restart(&sync);
+        for (int32_t i = 0; i < (n == 0 ? 100000 : 150); i++) {
+            uint32_t passed_us = n == 0 ? (1u << 31) - 1 : below(longest_us);
+            int64_t before_us = clock.system_us;
+            count_us += passed_us;
+            host_us += passed_us;
+            clock_advance(&clock, count_us);
+            bool may_step = below(2);
+            bool steps = sync_steer(&sync, &settings, &clock, may_step);
+            PROMISE(steps || clock.system_us >= before_us);
+            PROMISE(clock.rate_q32 <= CLOCK_RATE_MAX_Q32 && clock.rate_q32 >= -CLOCK_RATE_MAX_Q32);
+            PROMISE(sync_error_us(&sync) >= 0);
+            stepped += steps;
+            settled += sync.settled;
+            struct stamps stamps = {echo_us, base_us + host_us, base_us + host_us};
+            if (!honest && below(2))
+                stamps.sent_us = extreme64() / 8;
+            if (!honest && below(2))
+                stamps.received_us = extreme64() / 8;
+            if (!honest && below(2))
+                stamps.echo_us = random32();
+            if (n == 0 && i % 1000)
+                continue;
+            bool good = sync_take(&sync, &settings, &clock, &stamps, count_us - below(2), count_us);
+            taken += good;
+            excluded += !good;
+            echo_us = count_us;
+            if (sync.outcast >= SYNC_OUTCAST)
+                sync_restart(&sync);
+        }
+    }
+    PROMISE(taken > 1000 && excluded > 1000 && settled > 1000 && stepped > 1000);
+}
+
 static void gates(void) {
     static struct track track;
     int32_t accepted = 0;
@@ -493,20 +553,6 @@ static void send_plan(struct host *host, struct node *node, int32_t wildness) {
     stamps.received_us = below(3) ? 0 : stamps.received_us;
     uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
     send(host, &node->board, FRAME_PLAN, plan_encode(&stamps, &plan, payload, FRAME_PAYLOAD_MAX));
-}
-
-// Anything that settings_valid lets pass.
-static struct sync_settings random_sync(void) {
-    return (struct sync_settings){
-        .method = (uint8_t)below(SYNC_METHODS),
-        .drift_ppm = (uint16_t)(below(3) ? 100 + below(201) : below(301)),
-        .wander_ppb_s = (uint16_t)(below(3) ? below(2000) : below(SYNC_WANDER_MAX_PPB_S + 1)),
-        .to_device_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
-        .to_host_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
-        .limit_us = 1 + below(below(2) ? 1000 : SYNC_LIMIT_MAX_US),
-        .average = {below(2) ? below(100000) : random32(), (uint16_t)random32(),
-                    (uint16_t)random32()},
-    };
 }
 
 static struct device_settings random_settings(bool sane) {
@@ -728,6 +774,7 @@ int main(void) {
     ramps();
     homes();
     gaps();
+    clocks();
     gates();
     decoders();
     for (int32_t i = 0; i < LIVES; i++)

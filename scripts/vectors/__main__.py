@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
 
+import clock
 import codec
 import gate
 import handshake
@@ -45,6 +46,10 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "monitors": watch.monitors,
     "settings": settings.settings,
     "stores": settings.stores,
+    "clocks": clock.clocks,
+    "bounds": clock.bounds,
+    "steering": clock.steering,
+    "averages": clock.averages,
 }
 
 
