@@ -86,9 +86,9 @@ class Sync(Section):
     """A board whose clock may be off by more neither arms nor moves. Without known least delays
     this is half of the shortest round trip, and more.
     """
-    to_device_least_us: Delay = 0
+    to_device_least_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """No frame takes less time to a board: where it is known, it narrows the interval."""
-    to_host_least_us: Delay = 0
+    to_host_least_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """No frame takes less time to the host."""
     dither_us: Annotated[int, Field(ge=0, le=10_000)] = 1_000
     """One STATUS in four leaves up to so much later, at random: on a bus with frames of its own a

@@ -12,6 +12,7 @@ MOVING = {STATES.index(name) for name in ("RUNNING", "COAST")}
 _TEXTS = {
     "HOST": "the host said stop",
     "SYNC_LOST": "no sign of the host's time for {value} us; device.sync_lost_us is {limit}",
+    "CLOCK": "its clock may be off by more than sync.limit_us, which is {limit} us",
     "GAP": "a plan left {value} knots open",
     "GAP_FAULT": "a plan left {value} knots open",
     "FOLLOWING": "following error {value:.4g} {unit}, allowed {limit:.4g}",

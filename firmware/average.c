@@ -2,9 +2,14 @@
 #include "clock.h" // the largest rate
 #include "fixed.h" // clamp
 
+#define COUNT_MAX (1 << 20)     // of offsets; beyond it, older ones weigh half
 #define OFFSET_MAX_US (1 << 14) // of a mean: what is beyond slews no faster
 
 void average_take(struct average *average, int64_t offset_us) {
+    if (average->count == COUNT_MAX) { // nobody asks for a rate
+        average->sum_us /= 2;
+        average->count /= 2;
+    }
     average->sum_us += fixed_clamp64(offset_us, 1 << 30);
     average->count++;
 }

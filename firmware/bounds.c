@@ -2,7 +2,8 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define SOLVE_ROUNDS 8 // of Newton's method; each ends with a valid bound
+#define SOLVE_ROUNDS 8             // of Newton's method; each ends with a valid bound
+#define NOTHING_Q16 (-(1LL << 61)) // lower than all that a proof says
 
 void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
                   int64_t ticks_us) {
@@ -18,10 +19,13 @@ static int64_t slack_q16(const struct bounds_limits *limits, int64_t age_us) {
     return ((age * age * limits->wander_q64) >> 29) + 1;
 }
 
-// What a line says now if the skew is `skew_q32`, rounded down.
+// What a line says now if the skew is `skew_q32`, rounded down. One that is too old says nothing: a
+// side keeps it only to have one.
 static int64_t line_q16(const struct bounds_limits *limits, const struct bounds_line *line,
                         int64_t ticks_us, int64_t skew_q32) {
     int64_t age_us = ticks_us - line->ticks_us;
+    if (age_us > BOUNDS_AGE_MAX)
+        return NOTHING_Q16;
     return line->value_q16 + ((skew_q32 * age_us) >> 16) - slack_q16(limits, age_us);
 }
 
@@ -51,9 +55,9 @@ void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, i
     int64_t elapsed_us = ticks_us - bounds->ticks_us;
     if (elapsed_us <= 0)
         return;
-    // Beyond a minute the skew may be anything within the drift.
-    int64_t wandering_us = elapsed_us < 1 << 26 ? elapsed_us : 1 << 26;
-    int64_t wandered_q32 = ((wandering_us * limits->wander_q64) >> 32) + 1;
+    // Beyond an hour, which nobody waits, the skew may be anything within the drift.
+    int64_t wandered_q32 = elapsed_us < 1LL << 32 ? ((elapsed_us * limits->wander_q64) >> 32) + 1
+                                                  : 2 * (int64_t)limits->drift_q32;
     bounds->ticks_us = ticks_us;
     struct bounds_side *sides[] = {&bounds->lower, &bounds->upper};
     for (int32_t i = 0; i < 2; i++) {

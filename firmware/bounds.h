@@ -47,7 +47,7 @@ struct bounds {
     struct bounds_side lower, upper;
 };
 
-// Forgets everything. `base_us` lies within a century of the offset.
+// Forgets everything. `base_us` lies within a year of the offset: in Q16 that is below 2^61.
 void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
                   int64_t ticks_us);
 

@@ -2,15 +2,15 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define STAMP_US 1            // stamps are whole microseconds, rounded down
-#define STEER_GAIN 4          // an offset fades with a time constant of 2^14 us
-#define STEER_MAX_Q32 1288490 // and is slewed in at 300 ppm at most
-#define SKEW_SHIFT 22         // what is left of it for 2^22 us is the oscillator's skew ...
-#define SKEW_SHIFT_FIRST 20   // ... at first, for ...
-#define SKEW_FIRST_US 8000000 // ... so long, 2^20 us are enough
-#define STEP_Q16 (8 << 16)    // a clock that may step does so beyond it
-#define FAR_US (1LL << 40)    // offsets beyond it are as wrong as any
-#define NANOSECOND_Q16 66     // of a microsecond, rounded up
+#define STAMP_US 1                // stamps are whole microseconds, rounded down
+#define STEER_GAIN 4              // an offset fades with a time constant of 2^14 us
+#define STEER_MAX_Q32 1288490     // and is slewed in at 300 ppm at most
+#define SKEW_SHIFT 22             // what is left of it for 2^22 us is the oscillator's skew ...
+#define SKEW_SHIFT_FIRST 20       // ... at first, for ...
+#define SKEW_FIRST_US 8000000     // ... so long, 2^20 us are enough
+#define STEP_Q16 (8 << 16)        // a clock that may step does so beyond it
+#define OFFSET_MAX_US (1LL << 44) // half a year from the first sample: no clock runs so far
+#define NANOSECOND_Q16 66         // of a microsecond, rounded up
 
 static struct bounds_limits limits_of(const struct sync_settings *settings) {
     // 2^32 / 10^6 and 2^64 / 10^15, rounded up.
@@ -75,11 +75,12 @@ static void join(struct sync *sync, const struct sync_settings *settings,
     begin(sync, settings, clock, source->lineage.id,
           stamps->sent_us - clock_ticks(clock, arrived_us));
     clock_set(clock, sync->bounds.base_us, 0);
+    sync->stepped = true;
 }
 
-static int64_t near_q16(int64_t offset_us) {
-    int64_t clamped = offset_us > FAR_US ? FAR_US : offset_us < -FAR_US ? -FAR_US : offset_us;
-    return clamped * (1 << 16);
+// Whether an offset may be had in Q16.
+static bool is_near(int64_t offset_us) {
+    return offset_us <= OFFSET_MAX_US && offset_us >= -OFFSET_MAX_US;
 }
 
 // What the other clock shows as s was at s minus its error.
@@ -94,9 +95,10 @@ static bool prove(struct sync *sync, const struct bounds_limits *limits,
         stamps->received_us - echo - bounds->base_us + STAMP_US - source->to_there_least_us;
     int64_t most_q16 = (int64_t)source->most_error_ns * (1 << 16) / 1000 + 1; // rounded away
     int64_t least_q16 = (int64_t)source->least_error_ns * (1 << 16) / 1000 - 1;
-    return bounds_prove(bounds, limits, false, near_q16(lower_us) - most_q16, arrived) &&
-           (stamps->received_us == 0 || echo > arrived ||
-            bounds_prove(bounds, limits, true, near_q16(upper_us) - least_q16, echo));
+    bool echoes = stamps->received_us != 0 && echo <= arrived;
+    return is_near(lower_us) && (!echoes || is_near(upper_us)) &&
+           bounds_prove(bounds, limits, false, lower_us * (1 << 16) - most_q16, arrived) &&
+           (!echoes || bounds_prove(bounds, limits, true, upper_us * (1 << 16) - least_q16, echo));
 }
 
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
@@ -148,16 +150,18 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
         return false;
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
     int64_t least_us = mark->least_us - ticks_us - sync->bounds.base_us;
-    bool taken =
-        bounds_prove(&sync->bounds, &limits, false, near_q16(least_us - STAMP_US), ticks_us) &&
-        bounds_prove(&sync->bounds, &limits, true, near_q16(least_us + mark->width_us), ticks_us);
-    sync->excluded += !taken;
-    if (taken) {
-        sync->marked = true;
-        sync->mark_us = ticks_us;
-        sync->mark_q16 = near_q16(least_us) + mark->width_us * (1 << 15) - STAMP_US * (1 << 15);
+    bool near = is_near(least_us); // else the products would overflow
+    int64_t least_q16 = near ? (least_us - STAMP_US) * (1 << 16) : 0;
+    int64_t most_q16 = near ? (least_us + mark->width_us) * (1 << 16) : 0;
+    if (!near || !bounds_prove(&sync->bounds, &limits, false, least_q16, ticks_us) ||
+        !bounds_prove(&sync->bounds, &limits, true, most_q16, ticks_us)) {
+        sync->excluded++;
+        return false;
     }
-    return taken;
+    sync->marked = true;
+    sync->mark_us = ticks_us;
+    sync->mark_q16 = (least_q16 + most_q16) / 2;
+    return true;
 }
 
 static int32_t nanoseconds(int64_t offset_q16) {
@@ -225,7 +229,8 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
         begin(sync, settings, clock, sync->id, clock->system_us - clock->ticks_us);
     if (!sync->begun)
         return false;
-    bool steps = false;
+    bool steps = sync->stepped;
+    sync->stepped = false;
     if (is_reference(sync)) {
         sync->heard_us = clock->ticks_us;
         sync->least_error_ns = sync->most_error_ns = 0;
@@ -233,7 +238,7 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     } else {
         bounds_advance(&sync->bounds, &limits, clock->ticks_us);
         if (bounds_closed(&sync->bounds))
-            steps = follow(sync, settings, clock, may_step);
+            steps |= follow(sync, settings, clock, may_step);
     }
     if (sync_error_us(sync) > (int32_t)settings->limit_us)
         sync->wide_us = clock->ticks_us;

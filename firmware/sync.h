@@ -52,6 +52,7 @@ struct sync_source {
 struct sync {
     bool begun; // there is a base
     bool settled;
+    bool stepped;      // the first sample set the clock
     int64_t wide_us;   // ticks when the error was last not known to be within the limit
     int64_t heard_us;  // ticks of the last sample that was taken
     uint32_t excluded; // samples that contradicted the set, ever
@@ -88,7 +89,8 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
                     const struct headway_clock *clock, const struct mark *mark, uint32_t count_us,
                     uint32_t now_count_us);
 
-// To be called after each clock_advance, at least every second. Returns whether the clock stepped.
+// To be called after each clock_advance, at least every second. Returns whether the clock stepped, now
+// or by a first sample.
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
 

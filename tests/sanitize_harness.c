@@ -298,6 +298,66 @@ static void gaps(void) {
     PROMISE(filled > 1000);
 }
 
+// Anything that settings_valid lets pass.
+static struct sync_settings random_sync(void) {
+    return (struct sync_settings){
+        .method = (uint8_t)below(SYNC_METHODS),
+        .drift_ppm = (uint16_t)(below(3) ? 100 + below(201) : below(301)),
+        .wander_ppb_s = (uint16_t)(below(3) ? below(2000) : below(SYNC_WANDER_MAX_PPB_S + 1)),
+        .to_device_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
+        .to_host_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
+        .limit_us = 1 + below(below(2) ? 1000 : SYNC_LIMIT_MAX_US),
+        .average = {below(2) ? below(100000) : random32(), (uint16_t)random32(),
+                    (uint16_t)random32()},
+    };
+}
+
+// Hosts that tell the truth, and those that tell anything; from milliseconds to half an hour apart,
+// and once over years.
+static void clocks(void) {
+    uint32_t taken = 0, excluded = 0, settled = 0, stepped = 0;
+    for (int32_t n = 0; n < 2000; n++) {
+        struct sync_settings settings = random_sync();
+        struct sync sync;
+        uint32_t count_us = random32(), echo_us = count_us;
+        struct headway_clock clock = {.count_us = count_us};
+        int64_t base_us = below(2) ? between(-PLAN_TIME_MAX, PLAN_TIME_MAX) / 2 : 0, host_us = 0;
+        uint32_t longest_us = below(3) ? 50000 : below(2) ? 40000000 : 1u << 31;
+        bool honest = below(3);
+        sync_restart(&sync);
+        for (int32_t i = 0; i < (n == 0 ? 100000 : 150); i++) {
+            uint32_t passed_us = n == 0 ? (1u << 31) - 1 : below(longest_us);
+            int64_t before_us = clock.system_us;
+            count_us += passed_us;
+            host_us += passed_us;
+            clock_advance(&clock, count_us);
+            bool may_step = below(2);
+            bool steps = sync_steer(&sync, &settings, &clock, may_step);
+            PROMISE(steps || clock.system_us >= before_us);
+            PROMISE(clock.rate_q32 <= CLOCK_RATE_MAX_Q32 && clock.rate_q32 >= -CLOCK_RATE_MAX_Q32);
+            PROMISE(sync_error_us(&sync) >= 0);
+            stepped += steps;
+            settled += sync.settled;
+            struct stamps stamps = {echo_us, base_us + host_us, base_us + host_us};
+            if (!honest && below(2))
+                stamps.sent_us = extreme64() / 8;
+            if (!honest && below(2))
+                stamps.received_us = extreme64() / 8;
+            if (!honest && below(2))
+                stamps.echo_us = random32();
+            if (n == 0 && i % 1000)
+                continue;
+            bool good = sync_take(&sync, &settings, &clock, &stamps, count_us - below(2), count_us);
+            taken += good;
+            excluded += !good;
+            echo_us = count_us;
+            if (sync.outcast >= SYNC_OUTCAST)
+                sync_restart(&sync);
+        }
+    }
+    PROMISE(taken > 1000 && excluded > 1000 && settled > 1000 && stepped > 1000);
+}
+
 static void gates(void) {
     static struct track track;
     int32_t accepted = 0;
@@ -339,8 +399,8 @@ static void decoders(void) {
         for (int32_t i = 0; i < size; i++)
             bytes[i] = (uint8_t)(random32() & mask);
         bytes = realloc(bytes, size ? (size_t)size : 1);
-        if (size > 38)
-            bytes[36] = 1, bytes[37] = (uint8_t)below(130);
+        if (size > 35) // a plan's tracks and count
+            bytes[34] = 1, bytes[35] = (uint8_t)below(130);
         sync_decode(bytes, size, &stamps);
         plan_decode(bytes, size, &stamps, &plan);
         status_decode(bytes, size, &status);
@@ -482,8 +542,10 @@ static void send_sync(struct host *host, struct board *board, bool hostile) {
     struct stamps stamps = host->stamps;
     stamps.sent_us = board->true_us;
     if (hostile) {
-        int64_t *fields[] = {&stamps.status_us, &stamps.status_received_us, &stamps.sent_us};
-        *fields[below(3)] = extreme64();
+        int64_t *fields[] = {&stamps.received_us, &stamps.sent_us};
+        *fields[below(2)] = extreme64();
+        if (!below(3))
+            stamps.echo_us = random32();
     }
     uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
     send(host, board, FRAME_SYNC, sync_encode(&stamps, payload, FRAME_PAYLOAD_MAX));
@@ -555,7 +617,7 @@ static void send_plan(struct host *host, struct node *node, int32_t wildness) {
         plan.tracks = (uint8_t)(1 + below(31));
     struct stamps stamps = host->stamps;
     stamps.sent_us = below(30) ? node->device.clock.system_us : extreme64();
-    stamps.status_us = below(3) ? 0 : stamps.status_us;
+    stamps.received_us = below(3) ? 0 : stamps.received_us;
     uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
     send(host, &node->board, FRAME_PLAN, plan_encode(&stamps, &plan, payload, FRAME_PAYLOAD_MAX));
 }
@@ -572,6 +634,12 @@ static struct device_settings random_settings(bool sane) {
     settings.knot_periods = sane ? (struct scale){4, 0} : random_scale();
     settings.offset_count = sane ? 0 : extreme32();
     settings.carries_gravity = below(2);
+    settings.sync = random_sync();
+    if (sane) { // as good as the oscillator and the wire are
+        settings.sync.limit_us = SYNC_LIMIT_MAX_US;
+        settings.sync.drift_ppm = (uint16_t)(101 + below(200));
+        settings.sync.to_device_least_us = settings.sync.to_host_least_us = 0;
+    }
     settings.home.method = (uint8_t)below(HOME_METHODS);
     settings.home.backwards = below(2);
     settings.home.mark_count = sane ? 7 : extreme32();
@@ -660,8 +728,8 @@ static void read_outbox(struct host *host, struct board *board, struct tally *ta
         size -= FRAME_HEADER_BYTES + FRAME_TAG_BYTES;
         if (parcel->bytes[1] == FRAME_STATUS) {
             PROMISE(status_decode(payload, size, &status));
-            host->stamps.status_us = status.sent_us;
-            host->stamps.status_received_us = parcel->time_us;
+            host->stamps.echo_us = status.sent_count_us;
+            host->stamps.received_us = parcel->time_us;
             tally->statuses++;
         } else if (parcel->bytes[1] == FRAME_SETTINGS) {
             PROMISE(settings_decode(payload, size, false, &settings));
@@ -716,9 +784,9 @@ static void reboot(struct node *node, struct tally *tally) {
 
 static void speak(struct node *node, struct host *host, bool sane) {
     uint32_t what = below(100);
-    if (what < 4)
+    if (what < 4 && !below(node->device.session.begun ? 40 : 1)) // a new one settles anew
         send_hello(host, &node->board);
-    else if (what < 12 || (what < 50 && !node->device.clock.synced))
+    else if (what < 12 || (what < 50 && !node->device.sync.settled))
         send_sync(host, &node->board, !sane && !below(4));
     else if (what < 22)
         send_plan(host, node, sane ? (below(5) ? 0 : 30) : 40);
@@ -739,7 +807,8 @@ static void live(struct tally *tally, bool sane) {
     uint64_t motion_us = 0;
     uint32_t number = 0;
     for (int32_t n = 0; n < POLLS / LIVES; n++) {
-        int64_t passed_us = sane || below(1000) ? below(250) : below(1000000);
+        uint32_t pause_us = node.device.state == DEVICE_UNSYNCED ? 4000 : 250; // it takes a second
+        int64_t passed_us = sane || below(1000) ? below(pause_us) : below(1000000);
         board_advance(&node.board, node.board.true_us + passed_us);
         if (below(100000) == 0)
             oscillator_step(&node.board.oscillator, node.board.true_us, (int32_t)random32());
@@ -777,6 +846,7 @@ int main(void) {
     ramps();
     homes();
     gaps();
+    clocks();
     gates();
     decoders();
     for (int32_t i = 0; i < LIVES; i++)

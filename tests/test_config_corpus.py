@@ -586,6 +586,17 @@ OVERRIDES = [
     override(
         "machine.model=none.xml", "machine.model: there is no file", "starts at the config's fol"
     ),
+    override("sync.method=mean", "sync.method: must be bounds or average (given: 'mean')"),
+    override(
+        "sync.limit_us=5", "sync.limit_us: must be a whole number from 10 to 1000000, in micro"
+    ),
+    override("sync.limit_ms=2", "sync.limit_ms: unknown key; write `sync.limit_us=2000`"),
+    override("sync.drift_ppm=0", "sync.drift_ppm: must be a number above 0 and up to 300, in ppm"),
+    override("sync.drift_ppm=301", "sync.drift_ppm: must be a number above 0 and up to 300"),
+    override("sync.wander_ppm_per_s=61", "sync.wander_ppm_per_s: must be a number above 0 and up"),
+    override("sync.to_device_least_us=-1", "sync.to_device_least_us: must be a whole number from"),
+    override("sync.to_host_least_us=1000001", "sync.to_host_least_us: must be a whole number"),
+    override("sync.least_us=5", "sync.least_us: unknown key"),
     override("task.axes=[]", "task.axes: has 0 entries; the machine has 2 axes"),
 ]
 

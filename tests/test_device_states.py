@@ -39,14 +39,15 @@ RUNNING, COAST, HOLD = State.RUNNING, State.COAST, State.HOLD
 @pytest.mark.parametrize("epoch_us", [0, 300_000, 10**9, 1_700_000_000_000_123])
 @pytest.mark.parametrize("delay_us", [0, 1000, 9000])
 def test_syncs_to_the_hosts_time(epoch_us: int, delay_us: int) -> None:
-    """However far the first step is: frames that were under way across it must not count."""
+    """However far the first step is. It takes a second, and half a round trip of uncertainty."""
     rig = Rig(epoch_us, count_offset=(1 << 32) - 60_000, delay_us=delay_us)
     rig.poll()
     while not rig.node.synced:
-        assert rig.now < 1_000_000
+        assert rig.now < 1_200_000
         assert rig.node.state == UNSYNCED
         assert rig.node.brake and rig.node.duty_q15 == 0
         rig.poll()
+    assert rig.now >= 1_000_000
     assert rig.node.state == IDLE
     # A frame may wait for the next poll on the host's side: half of 250 us.
     assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
@@ -601,11 +602,11 @@ def test_unauthentic_frames_are_counted_and_change_nothing(kind: str) -> None:
     ("kind", "payload"),
     [
         (_core.FRAME_SYNC, b""),
-        (_core.FRAME_SYNC, bytes(23)),
-        (_core.FRAME_SYNC, bytes(25)),
-        (_core.FRAME_SYNC, b"\xff" * 7 + b"\x7f" + bytes(16)),  # a stamp of 2^63 - 1
-        (_core.FRAME_PLAN, bytes(24)),
-        (_core.FRAME_PLAN, bytes(38)),
+        (_core.FRAME_SYNC, bytes(19)),
+        (_core.FRAME_SYNC, bytes(21)),
+        (_core.FRAME_SYNC, bytes(4) + b"\xff" * 7 + b"\x7f" + bytes(8)),  # a stamp of 2^63 - 1
+        (_core.FRAME_PLAN, bytes(20)),
+        (_core.FRAME_PLAN, bytes(36)),
         (_core.FRAME_STATUS, bytes(24)),
         (0, bytes(24)),
         (255, bytes(24)),

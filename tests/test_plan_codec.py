@@ -39,7 +39,7 @@ def deltas(points: list[int]) -> Iterator[int]:
 
 
 def head_of(stamps: Stamps, number: int, epoch: int, first: int, mask: int, count: int) -> bytes:
-    return struct.pack("<qqqIHqBB", *stamps, number, epoch, first, mask, count)
+    return struct.pack("<IqqIHqBB", *stamps, number, epoch, first, mask, count)
 
 
 def layout(stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks) -> bytes:
@@ -55,8 +55,8 @@ def encode(stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tra
 
 
 times = st.integers(-TIME_MAX, TIME_MAX)
-stamps_us = st.tuples(times, times, times)
 numbers = st.integers(0, 2**32 - 1)
+stamps_us = st.tuples(numbers, times, times)
 epochs = st.integers(0, 2**16 - 1)
 knots = st.integers(-(1 << 63), (1 << 63) - 1)
 values = (
@@ -79,7 +79,11 @@ ALTERNATING = [INT32_MAX, -INT32_MAX - 1] * 6  # the largest second differences
 
 @given(stamps_us, numbers, epochs, knots, plans())
 @example(
-    (TIME_MAX, -TIME_MAX, 0), 2**32 - 1, 2**16 - 1, -(1 << 63), dict.fromkeys(SINKS, ALTERNATING)
+    (2**32 - 1, -TIME_MAX, TIME_MAX),
+    2**32 - 1,
+    2**16 - 1,
+    -(1 << 63),
+    dict.fromkeys(SINKS, ALTERNATING),
 )
 def test_plan_round_trip(
     stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks
@@ -176,7 +180,7 @@ def test_sums_beyond_32_bits_are_refused() -> None:
     assert decode(INT32_MAX, 1 << 33, 0, 0) is None
 
 
-@pytest.mark.parametrize("at", range(3))
+@pytest.mark.parametrize("at", [1, 2])
 def test_stamps_from_another_age_are_refused(at: int) -> None:
     for time_us, ok in ((TIME_MAX, True), (TIME_MAX + 1, False), ((1 << 63) - 1, False)):
         for sign in (-1, 1):
@@ -194,7 +198,7 @@ def test_plans_out_of_shape() -> None:
 
 def test_the_largest_plan_fits_and_one_byte_more_does_not() -> None:
     full = {s: [100] * 128 for s in SINKS}
-    assert len(encode((0, 0, 0), 1, 7, 0, full)) == 40 + 5 * 129  # the first point takes two bytes
+    assert len(encode((0, 0, 0), 1, 7, 0, full)) == 36 + 5 * 129  # the first point takes two bytes
     wide, still = [1 << 29, -(1 << 29)] * 64, [0] * 128
     spare = PAYLOAD_MAX - len(layout((0, 0, 0), 1, 7, 0, {0: wide, 1: still, 2: still}))
     assert 0 < spare < 120
@@ -212,18 +216,19 @@ def test_the_largest_plan_fits_and_one_byte_more_does_not() -> None:
 
 @given(stamps_us)
 def test_sync_layout(stamps: Stamps) -> None:
-    assert _core.sync_encode(stamps) == struct.pack("<qqq", *stamps)
+    assert _core.sync_encode(stamps) == struct.pack("<Iqq", *stamps)
 
 
 # ---- status
 
-HEAD = "<qBBBHIBiBBIqiiiiIIIIIIIIiIB"
+HEAD = "<qIiiiqIBBBHIBiBBIqiiiiIIIIIIIIIiIB"
 FLAGS = ("synced", "homed", "released")
 FAULT = (*("reason", "state", "boots", "time_us", "value", "limit", "position_pq", "torque_tq"),)
+CLOCK = ("sent_count_us", "least_error_ns", "most_error_ns", "rate_q32", "heard_us", "heard_age_us")
 BEFORE = ("epoch", "command_number", "command_result", "holding_tq")
 AFTER = (
     *("plan_seen", "plan_accepted", "accepted_mask"),
-    *("plans_accepted", "plans_late", "plans_refused", "frames_bad", "coasts"),
+    *("plans_accepted", "plans_late", "plans_refused", "frames_bad", "coasts", "stamps_excluded"),
     *("torque_peak_tq", "torque_clipped"),
 )
 u8 = st.integers(0, 255)
@@ -231,10 +236,11 @@ u32 = st.integers(0, 2**32 - 1)
 int64s = st.integers(-(1 << 62), 1 << 62)
 int32s = st.integers(-INT32_MAX - 1, INT32_MAX)
 heads = st.tuples(
-    *(int64s, u8, u8, st.integers(0, 7)),
+    *(int64s, u32, int32s, int32s, int32s, int64s, u32),
+    *(u8, u8, st.integers(0, 7)),
     *(epochs, u32, u8, int32s),
     *(u8, u8, u32, int64s, int32s, int32s, int32s, int32s),
-    *[u32] * 8,
+    *[u32] * 9,
     *(int32s, u32),
 )
 samples_of = st.lists(st.tuples(int64s, int32s), max_size=32)
@@ -254,7 +260,9 @@ def fields_of(status: _core.Status) -> tuple[int, ...]:
     before = [getattr(status, name) for name in BEFORE]
     fault = [getattr(status.fault, name) for name in FAULT]
     after = [getattr(status, name) for name in AFTER]
-    return (status.sent_us, status.state, status.refusal, flags, *before, *fault, *after)
+    clock = [getattr(status, name) for name in CLOCK]
+    states = (status.state, status.refusal, flags)
+    return (status.sent_us, *clock, *states, *before, *fault, *after)
 
 
 @given(heads, samples_of)
@@ -271,7 +279,7 @@ def test_status_is_read_as_laid_out(head: tuple[int, ...], samples: list[tuple[i
 
 @pytest.mark.parametrize("count", [32, 33, 255])
 def test_status_holds_32_samples(count: int) -> None:
-    payload = struct.pack(HEAD, *[0] * 26, count) + bytes(2 * count)
+    payload = struct.pack(HEAD, *[0] * 33, count) + bytes(2 * count)
     assert (_core.status_decode(payload) is not None) == (count <= 32)
 
 

@@ -23,6 +23,15 @@ ENDS: list[tuple[str, int, int]] = [
     ("home.acceleration_q16", 1, INT_MAX),
     ("home.torque_tq", 0, INT_MAX),
     ("home.way_counts", 0, INT_MAX),
+    ("sync.method", 0, 1),
+    ("sync.drift_ppm", 0, 300),
+    ("sync.wander_ppb_s", 0, 60_000),
+    ("sync.to_device_least_us", 0, 1_000_000),
+    ("sync.to_host_least_us", 0, 1_000_000),
+    ("sync.limit_us", 1, 1_000_000),
+    ("sync.interval_us", 0, (1 << 32) - 1),
+    ("sync.phase_gain", 0, 65535),
+    ("sync.skew_gain_q8", 0, 65535),
 ]
 
 
@@ -39,7 +48,7 @@ def test_ends(name: str, low: int, high: int) -> None:
     assert valid_with(name, low) and valid_with(name, high)
     if low > 0 or (name.startswith("home.") and name != "home.method"):
         assert not valid_with(name, low - 1)
-    if high not in (INT_MAX, 65535):
+    if high not in (INT_MAX, 65535, (1 << 32) - 1):
         assert not valid_with(name, high + 1)
 
 

@@ -104,7 +104,7 @@ def test_the_files_are_what_the_generator_writes(judge: Path) -> None:
 
 
 def test_they_stay_small() -> None:
-    assert sum(path.stat().st_size for path in FILES) < 2_000_000
+    assert sum(path.stat().st_size for path in FILES) < 2_500_000
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -432,7 +432,7 @@ def little(value: int, size: int) -> bytes:
     return (value % (1 << 8 * size)).to_bytes(size, "little")
 
 
-STAMPS = ("status_us", "status_received_us", "sent_us")
+STAMPS = ("received_us", "sent_us")  # behind the count that is echoed
 
 
 def fitting(v: Vector, payload: bytes | None) -> str:
@@ -442,7 +442,11 @@ def fitting(v: Vector, payload: bytes | None) -> str:
 
 
 def stamps(v: Vector) -> bytes:
-    return b"".join(little(v.number(name), 8) for name in STAMPS)
+    return little(v.number("echo_us"), 4) + b"".join(little(v.number(n), 8) for n in STAMPS)
+
+
+def told_stamps(reader: Reader) -> str:
+    return " ".join([f"echo_us={reader.take(4)}", *(f"{name}={reader.time()}" for name in STAMPS)])
 
 
 def judge_varint_encode(v: Vector) -> str:
@@ -468,7 +472,7 @@ def judge_sync_encode(v: Vector) -> str:
 
 def judge_sync_decode(v: Vector) -> str:
     reader = Reader(v.bytes("payload"))
-    text = " ".join(f"{name}={reader.time()}" for name in STAMPS)
+    text = told_stamps(reader)
     reader.done()
     return text
 
@@ -502,7 +506,7 @@ def runs(values: list[int]) -> str:
 
 def judge_plan_decode(v: Vector) -> str:
     reader = Reader(v.bytes("payload"))
-    text = " ".join(f"{name}={reader.time()}" for name in STAMPS)
+    text = told_stamps(reader)
     number, epoch, first_knot = reader.take(4), reader.take(2), reader.take(8, signed=True)
     tracks, count = reader.take(1), reader.take(1)
     if not (3 <= count <= 128 and 0 < tracks < 32):
@@ -524,18 +528,24 @@ def judge_plan_decode(v: Vector) -> str:
 
 
 STATUS = (
+    *(("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4)),
+    *(("heard_us", 8), ("heard_age_us", 4)),
     *(("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4)),
     *(("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1)),
     *(("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4)),
     *(("fault_position_pq", 4), ("fault_torque_tq", 4), ("plan_seen", 4), ("plan_accepted", 4)),
     *(("accepted_mask", 4), ("plans_accepted", 4), ("plans_late", 4), ("plans_refused", 4)),
-    *(("frames_bad", 4), ("coasts", 4), ("torque_peak_tq", 4), ("torque_clipped", 4)),
-    ("sample_count", 1),
+    *(("frames_bad", 4), ("coasts", 4), ("stamps_excluded", 4)),
+    *(("torque_peak_tq", 4), ("torque_clipped", 4), ("sample_count", 1)),
 )
 
 
 FLAGS = ("synced", "homed", "released", "grouped")
-SIGNED = {name for name, _ in STATUS if name.endswith(("_tq", "time_us", "value", "limit", "_pq"))}
+SIGNED = {
+    name
+    for name, _ in STATUS
+    if name.endswith(("_tq", "_ns", "rate_q32", "heard_us", "time_us", "value", "limit", "_pq"))
+}
 
 
 def judge_status_encode(v: Vector) -> str:
@@ -995,7 +1005,7 @@ BYTES |= {"command-encode": judge_command_encode, "command-decode": judge_comman
 
 FAULT = (("reason", 1), ("state", 1), ("boots", 4), ("time_us", 8))
 FAULT_SIGNED = ("value", "limit", "position_pq", "torque_tq")
-RESPONSES = ["tail"] * 9 + ["fault"] * 6 + ["brake"] * 5
+RESPONSES = ["tail"] * 10 + ["fault"] * 6 + ["brake"] * 5
 
 
 def test_faults_are_logged_in_a_ring_of_eight() -> None:
@@ -1168,7 +1178,7 @@ def test_homing_finds_its_mark_and_comes_to_rest() -> None:
 
 # Reasons by number, with the response to each: 0 ramp to rest, 1 ramp and output off, 2 brake.
 FOLLOWING, SPEED, ROOM, TORQUE, OUTSIDE, I2T, WINDING, UNDER, OVER, LATE, STUCK, REVERSED, SPIKE = (
-    *(4, 5, 6, 7, 10, 11, 12, 13, 14, 15, 16, 17, 18),
+    *(5, 6, 7, 8, 11, 12, 13, 14, 15, 16, 17, 18, 19),
 )
 Found = tuple[int, int, int]  # reason, value, limit
 
@@ -1336,7 +1346,7 @@ def test_the_monitor_judges_by_its_definition() -> None:
             text += f"speed_pq={watcher.speed} chopper={int(watcher.chopper)}"
             assert v.answer == text, v
             told[reason] += 1
-    assert set(told) == {0, 4, 5, 6, 7, *range(10, 19)}
+    assert set(told) == {0, 5, 6, 7, 8, *range(11, 20)}
     assert min(told.values()) >= 4, told
 
 
@@ -1573,6 +1583,10 @@ HOME = fields(
     "home_method 1, home_backwards 1, home_mark_count -4, home_speed_q16 -4,"
     "home_acceleration_q16 -4, home_torque_tq -4, home_way_counts -4, home_still_periods 2"
 )
+SYNC = fields(
+    "sync_method 1, drift_ppm 2, wander_ppb_s 2, to_device_least_us 4, to_host_least_us 4,"
+    "limit_us 4, interval_us 4, phase_gain 2, skew_gain_q8 2"
+)
 BOOLEANS = {"carries_gravity", "integrate_running", "bounded", "home_backwards"}
 
 
@@ -1603,15 +1617,17 @@ class Settings:
 
     def encoded(self, with_key: bool) -> bytes:
         key = bytes.fromhex(self.given["key"]) if with_key else b""
-        out = b"\1" + key + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
+        out = b"\2" + key + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
         out += bytes(self.numbers("gap_policy", 5))
         for sink in SINKS:
             continuous, *limits = self.numbers(sink, 6)
             out += bytes([continuous]) + b"".join(little(x, 4) for x in limits)
-        return out + self.packed(SERVO) + self.packed(MONITOR) + self.packed(HOME)
+        return (
+            out + self.packed(SERVO) + self.packed(MONITOR) + self.packed(HOME) + self.packed(SYNC)
+        )
 
     def valid(self) -> bool:
-        """What settings.h, gate.h, gap.h, servo.h and home.h ask for."""
+        """What settings.h, gate.h, gap.h, servo.h, home.h and sync.h ask for."""
         limits = {sink: self.numbers(sink, 6) for sink in SINKS}
         for i, sink in enumerate(SINKS):
             continuous, low, high, first, second, stop = limits[sink]
@@ -1630,12 +1646,14 @@ class Settings:
             return False
         positive = ["servo_period_us", "sample_every", "torque_step_tq", "torque_limit_tq"]
         positive += ["following_pq", "speed_pq", "stuck_pq", "deceleration_q16", "spike_counts"]
-        positive += ["rise_q16", "home_acceleration_q16"]
+        positive += ["rise_q16", "home_acceleration_q16", "limit_us"]
         searching = ["home_speed_q16", "home_torque_tq", "home_way_counts"]
         least = dict.fromkeys(positive, 1)
         least |= dict.fromkeys(searching, 1 if self.number("home_method") else 0)
         most = {"torque_limit_tq": 1 << 25, "spike_counts": (1 << 18) - 1, "home_method": 3}
         most |= {"home_speed_q16": (1 << 30) - 1, "knot_shift": 15}
+        most |= {"sync_method": 1, "drift_ppm": 300, "wander_ppb_s": 60_000}
+        most |= dict.fromkeys(["to_device_least_us", "to_host_least_us", "limit_us"], 10**6)
         return (
             all(self.number(name) >= low for name, low in (least | {"knot_shift": 9}).items())
             and all(self.number(name) <= high for name, high in most.items())
@@ -1647,7 +1665,7 @@ class Settings:
 def decoded(data: bytes, with_key: bool, key: str) -> str:
     """As the judge says settings; `key` is the one that was there."""
     reader = Reader(data)
-    if reader.take(1) != 1:
+    if reader.take(1) != 2:
         raise MalformedError
     values: dict[str, str] = {"key": key}
 
@@ -1672,10 +1690,10 @@ def decoded(data: bytes, with_key: bool, key: str) -> str:
     values["gap_policy"] = runs([reader.take(1) for _ in range(5)])
     for sink in SINKS:
         values[sink] = runs([flag(), *(reader.take(4, True) for _ in range(5))])
-    for rows in (SERVO, MONITOR, HOME):
+    for rows in (SERVO, MONITOR, HOME, SYNC):
         take(rows)
     reader.done()
-    every = HEAD + SERVO + MONITOR + HOME
+    every = HEAD + SERVO + MONITOR + HOME + SYNC
     order = ["name", "key", *(name for name, size in every if size)]
     order += [name for name, size in every if not size]
     return " ".join(f"{name}={values[name]}" for name in [*order, "gap_policy", *SINKS])
@@ -1785,3 +1803,329 @@ def test_memory_keeps_the_newest_whole_record() -> None:
         seen[f"{v.word} {expected.split(' ')[-1].split('=')[0]}"] += 1
     assert seen["store-boot boots"] > 100 and seen["store-boot failed"] > 20
     assert seen["store-save-settings failed"] == 2 and seen["store-load-settings none"] >= 3
+
+
+# ---- the clock
+
+
+@dataclass
+class Line:
+    """System time by ticks: exact."""
+
+    count: int = 0
+    ticks: int = 0
+    time: Fraction = Fraction(0)
+    rate: Fraction = Fraction(0)
+
+    def passed(self, count: int) -> int:
+        return wrapped(count - self.count, 32)
+
+    def at(self, count: int) -> Fraction:
+        return self.time + self.passed(count) * (1 + self.rate)
+
+    def advance(self, count: int) -> None:
+        self.time = self.at(count)
+        self.ticks += self.passed(count)
+        self.count = count
+
+    def told(self) -> str:
+        fraction = int(self.time % 1 * (1 << 32))
+        return f"system_us={self.time // 1} fraction_q32={fraction} ticks_us={self.ticks}"
+
+
+def test_the_clock_is_an_exact_line() -> None:
+    clock, seen = Line(), Counter[str]()
+    for v in read(VECTORS / "clocks.txt"):
+        seen[v.word] += 1
+        if v.word == "clock-rate":
+            clock.rate = Fraction(v.number("rate_q32"), 1 << 32)
+            continue
+        if v.word == "clock":
+            offset = Fraction(v.number("offset_q16"), 1 << 16)
+            clock = Line(v.number("count_us"), 0, v.number("base_us") + offset)
+            expected = clock.told()
+        elif v.word == "clock-advance":
+            clock.advance(v.number("count_us"))
+            expected = clock.told()
+        elif v.word == "clock-at":
+            count = v.number("count_us")
+            expected = (
+                f"system_us={clock.at(count) // 1} ticks_us={clock.ticks + clock.passed(count)}"
+            )
+        else:
+            offset = clock.time - clock.ticks - v.number("base_us")
+            expected = f"offset_q16={offset * (1 << 16) // 1}"
+        assert v.answer == expected, v
+    assert min(seen.values()) > 20 and len(seen) == 5
+
+
+Proof = tuple[Fraction, int]  # of an offset, at ticks
+
+
+@dataclass
+class Knowledge:
+    """What proofs leave, in exact numbers: every proof is kept, and every pair of them looked at.
+
+    A proof of age a bounds the offset now by its value + k a +- wander a^2 / 2, where k is the skew
+    now. A lower and an upper one so bound the skew. What was known of both is carried on.
+    """
+
+    drift: Fraction
+    wander: Fraction
+    ticks: int
+    lower: list[Proof] = field(default_factory=list)
+    upper: list[Proof] = field(default_factory=list)
+    low: Fraction | None = None
+    high: Fraction | None = None
+    slowest: Fraction = Fraction(0)
+    fastest: Fraction = Fraction(0)
+
+    def __post_init__(self) -> None:
+        self.slowest, self.fastest = -self.drift, self.drift
+
+    def advance(self, ticks: int) -> None:
+        passed = ticks - self.ticks
+        if passed <= 0:
+            return
+        self.ticks = ticks
+        self.slowest = max(-self.drift, self.slowest - passed * self.wander)
+        self.fastest = min(self.drift, self.fastest + passed * self.wander)
+        if self.low is not None:
+            self.low += passed * self.slowest
+        if self.high is not None:
+            self.high += passed * self.fastest
+
+    def _now(self, proof: Proof, skew: Fraction, sign: int) -> Fraction:
+        age = self.ticks - proof[1]
+        return proof[0] + skew * age + sign * self.wander * age * age / 2
+
+    def _fresh(self, proofs: list[Proof]) -> list[Proof]:
+        return [p for p in proofs if self.ticks - p[1] <= 1 << 25]
+
+    def prove(self, is_upper: bool, value: Fraction, ticks: int) -> Fraction:
+        """Takes a proof if something is left; else returns by how much there is too little."""
+        new = value, ticks
+        if self.ticks - ticks > 1 << 25:
+            return Fraction(0)
+        slowest, fastest = self.slowest, self.fastest
+        missing = Fraction(0)
+        for other in self._fresh(self.lower if is_upper else self.upper):
+            low, high = (other, new) if is_upper else (new, other)
+            room = self._now(high, Fraction(0), 1) - self._now(low, Fraction(0), -1)
+            longer = high[1] - low[1]  # by so much is the lower one older
+            if longer > 0:
+                fastest = min(fastest, room / longer)
+            elif longer < 0:
+                slowest = max(slowest, room / longer)
+            elif room < 0:
+                missing = max(missing, -room)
+        if slowest > fastest:
+            return max(missing, (slowest - fastest) * (1 << 20))
+        lower = self._fresh(self.lower) + [new] * (not is_upper)
+        upper = self._fresh(self.upper) + [new] * is_upper
+        lows = [self._now(p, slowest, -1) for p in lower] + [self.low] * (self.low is not None)
+        highs = [self._now(p, fastest, 1) for p in upper] + [self.high] * (self.high is not None)
+        low, high = (
+            (max(x for x in lows if x is not None) if lows else None),
+            (min(x for x in highs if x is not None) if highs else None),
+        )
+        if low is not None and high is not None and low > high:
+            return max(missing, low - high)
+        if missing:
+            return missing
+        self.lower, self.upper, self.low, self.high = lower, upper, low, high
+        self.slowest, self.fastest = slowest, fastest
+        return Fraction(0)
+
+
+def numbers_of(answer: str) -> dict[str, int]:
+    return {n: int(x) for n, _, x in (part.partition("=") for part in answer.split(" ")) if x}
+
+
+Q16, Q32 = Fraction(1, 1 << 16), Fraction(1, 1 << 32)
+NEARLY = Fraction(1, 10)  # us: what is refused by less may be taken, by rounding
+
+
+def test_bounds_are_what_the_proofs_leave() -> None:
+    """Never narrower, and hardly wider though only twelve lines a side are kept."""
+    known, seen, ratios = Knowledge(Fraction(0), Fraction(0), 0), Counter[str](), []
+    for v in read(VECTORS / "bounds.txt"):
+        if v.word == "bounds-clear":
+            drift = v.number("drift_q32") * Q32
+            known = Knowledge(drift, v.number("wander_q64") * Q32 * Q32, v.number("ticks_us"))
+            continue
+        got = numbers_of(v.answer)
+        if v.word == "bounds-advance":
+            known.advance(v.number("ticks_us"))
+        else:
+            is_upper = "at_most_q16" in v.given
+            value = v.number("at_most_q16" if is_upper else "at_least_q16") * Q16
+            missing = known.prove(is_upper, value, v.number("ticks_us"))
+            verdict = v.answer.split(" ")[0]
+            assert verdict in ("taken", "refused")
+            assert (missing > 0) >= (verdict == "refused"), v
+            assert verdict == "refused" or missing < NEARLY, v
+            seen[verdict] += 1
+        assert got["least_skew_q32"] * Q32 <= known.slowest, v
+        assert got["most_skew_q32"] * Q32 >= known.fastest, v
+        assert ("lower_q16" in got) == (known.low is not None)
+        assert ("upper_q16" in got) == (known.high is not None)
+        if known.low is not None:
+            assert got["lower_q16"] * Q16 <= known.low, v
+        if known.high is not None:
+            assert got["upper_q16"] * Q16 >= known.high, v
+        if known.low is not None and known.high is not None:
+            width = (got["upper_q16"] - got["lower_q16"]) * Q16
+            ratios.append(float((width + 1) / (known.high - known.low + 1)))
+    assert seen["taken"] > 300 and seen["refused"] > 40
+    assert sorted(ratios)[len(ratios) // 2] < 1.05
+    assert max(ratios) < 2
+
+
+def test_average_is_the_mean_times_its_gains() -> None:
+    offsets: list[tuple[int, int]] = []
+    began, skew, rates = 0, 0, 0
+    for v in read(VECTORS / "averages.txt"):
+        if v.word == "average":
+            offsets, began, skew = [], v.number("ticks_us"), 0
+            continue
+        if v.word == "average-take":
+            most = 1 << 30
+            offset = sorted((-most, v.number("offset_us"), most))[1]
+            for _ in range(int(v.given.get("times", 1))):
+                if sum(times for _, times in offsets) == 1 << 20:  # older ones weigh half
+                    total = toward_zero(sum(o * times for o, times in offsets), 2)
+                    offsets = [(total, 1), (0, (1 << 19) - 1)]
+                if offsets and offsets[-1][0] == offset:
+                    offsets[-1] = offset, offsets[-1][1] + 1
+                else:
+                    offsets.append((offset, 1))
+            continue
+        if v.number("ticks_us") - began < v.number("interval_us") or not offsets:
+            assert v.answer == "none", v
+            continue
+        count = sum(times for _, times in offsets)
+        mean = toward_zero(sum(o * times for o, times in offsets), count)
+        mean = sorted((-(1 << 14), mean, 1 << 14))[1]
+        drift = v.number("drift_q32")
+        skew = sorted((-drift, skew + (mean * v.number("skew_gain_q8") >> 8), drift))[1]
+        rate = sorted((-2_147_484, skew + mean * v.number("phase_gain"), 2_147_484))[1]
+        assert v.answer == f"rate_q32={rate}", v
+        offsets, began = [], v.number("ticks_us")
+        rates += 1
+    assert rates > 50
+
+
+@dataclass
+class Board:
+    """A clock that is synchronized, by what sync.h says of it."""
+
+    given: dict[str, int]
+    clock: Line
+    known: Knowledge | None = None
+    base: int = 0
+    excluded: int = 0
+    outcast: int = 0
+    wide: int = 0
+    stepped: bool = False
+
+    def take(self, v: Vector) -> str:
+        ticks = {
+            name: self.clock.ticks + self.clock.passed(v.number(name))
+            for name in ("arrived_us", "echo_us", "count_us")
+        }
+        sent, received = v.number("sent_us"), v.number("received_us")
+        if self.known is None:
+            self.known = Knowledge(
+                self.given["drift_ppm"] * 4295 * Q32,
+                self.given["wander_ppb_s"] * 18_447 * Q32 * Q32,
+                ticks["arrived_us"],
+            )
+            self.base, self.stepped = sent - ticks["arrived_us"], True
+            self.clock.time = Fraction(self.clock.ticks + self.base)
+        self.known.advance(ticks["count_us"])
+        low = sent - ticks["arrived_us"] - self.base - 1 + self.given["to_device_least_us"]
+        high = received - ticks["echo_us"] - self.base + 1 - self.given["to_host_least_us"]
+        echoes = received != 0 and ticks["echo_us"] <= ticks["arrived_us"]
+        far = abs(low) > 1 << 44 or (echoes and abs(high) > 1 << 44)
+        missing = Fraction(int(far))
+        if not missing:
+            missing = self.known.prove(False, Fraction(low), ticks["arrived_us"])
+        if not missing and echoes:
+            missing = self.known.prove(True, Fraction(high), ticks["echo_us"])
+        assert not missing or missing > NEARLY, v  # the generator keeps off the edge
+        self.excluded += missing > 0
+        self.outcast = self.outcast + 1 if missing else 0
+        word = "excluded" if missing else "taken"
+        return f"{word} excluded={self.excluded} outcast={self.outcast}"
+
+    def steer(self, v: Vector) -> None:
+        """The map to the last bit; what is told never less than is known, and of that clock."""
+        got, clock = numbers_of(v.answer), self.clock
+        clock.advance(v.number("count_us"))
+        time = got["system_us"] + Fraction(got["fraction_q32"], 1 << 32)
+        assert got["ticks_us"] == clock.ticks, v
+        unknown = (1 << 31) - 1
+        least, most = got["least_error_ns"], got["most_error_ns"]
+        if self.known is None or self.known.low is None or self.known.high is None:
+            assert (least, most) == (-unknown, unknown), v
+            assert got["stepped"] == self.stepped and time == clock.time, v
+            assert not got["settled"]
+            self.wide, self.stepped = clock.ticks, False
+            return
+        self.known.advance(clock.ticks)
+        if not v.number("may_step"):
+            assert time == clock.time, v
+        jump = time - clock.time
+        assert got["stepped"] == (self.stepped or jump != 0), v
+        middle = Fraction(least + most, 2000)  # us that the clock is ahead of it
+        if jump:
+            assert abs(middle) < Fraction(1, 500) and abs(jump) > 8 - NEARLY, v
+        elif v.number("may_step"):
+            assert abs(middle) < 8 + NEARLY, v
+        clock.time, self.stepped = time, False
+        offset = time - clock.ticks - self.base
+        assert least <= max(-unknown, (offset - self.known.high) * 1000), v
+        assert most >= min(unknown, (offset - self.known.low) * 1000), v
+        self.assert_rate(v, got["rate_q32"], middle)
+        error = max(-least, most)
+        error = unknown if error == unknown else error // 1000 + 1
+        if error > self.given["limit_us"]:
+            self.wide = clock.ticks
+        assert got["settled"] == (clock.ticks - self.wide >= 1_000_000), v
+        clock.rate = got["rate_q32"] * Q32
+
+    def assert_rate(self, v: Vector, rate_q32: int, ahead: Fraction) -> None:
+        """The skew's middle, and what fades the offset in 2^17 us, at 300 ppm at most."""
+        assert self.known is not None
+        assert abs(rate_q32) <= 2_147_484, v
+        if self.given["method"] == 0:
+            most = Fraction(300, 10**6)
+            fade = sorted((-most, -ahead / (1 << 17), most))[1]
+            skew = rate_q32 * Q32 - fade
+            half = (self.known.fastest - self.known.slowest) / 2
+            off = abs(skew - (self.known.fastest + self.known.slowest) / 2)
+            assert off <= half / 4 + Fraction(2, 10**6) or abs(rate_q32) == 2_147_484, v
+
+
+def test_clocks_are_steered_by_their_definition() -> None:
+    board, seen, widths = Board({}, Line()), Counter[str](), []
+    for v in read(VECTORS / "steering.txt"):
+        if v.word == "sync":
+            given = {name: int(x) for name, x in v.given.items()}
+            board = Board(given, Line(v.number("count_us")))
+        elif v.word == "sync-take":
+            expected = board.take(v)
+            assert v.answer == expected, v
+            seen[expected.split(" ")[0]] += 1
+        else:
+            board.steer(v)
+            got, known = numbers_of(v.answer), board.known
+            seen["settled"] += got["settled"]
+            seen["stepped"] += got["stepped"]
+            if known and known.low is not None and known.high is not None:
+                width = Fraction(got["most_error_ns"] - got["least_error_ns"], 1000)
+                widths.append(float((width + 1) / (known.high - known.low + 1)))
+    assert seen["taken"] > 400 and seen["excluded"] > 50, seen
+    assert seen["settled"] > 100 and seen["stepped"] > 30, seen
+    assert sorted(widths)[len(widths) // 2] < 1.05

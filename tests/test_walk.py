@@ -9,7 +9,7 @@ from walk import Broken, Walk
 @pytest.mark.parametrize("seed", range(4))
 def test_walk(seed: int) -> None:
     walker = Walk(seed)
-    walker.walk(10_000)
+    walker.walk(20_000)
     assert len(walker.visited) >= 12 and walker.visited.total() > 40
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
 
+import clock
 import codec
 import gate
 import group
@@ -53,6 +54,10 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "servos": servo.servos,
     "settings": settings.settings,
     "stores": settings.stores,
+    "clocks": clock.clocks,
+    "bounds": clock.bounds,
+    "steering": clock.steering,
+    "averages": clock.averages,
 }
 
 

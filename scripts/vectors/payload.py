@@ -12,7 +12,7 @@ from line import line
 TIME_MAX = 1 << 60
 POINT_MAX = (1 << 31) - 1
 SINKS = ("position", "torque", "kp", "ki", "kd")
-STAMPS = ("status_us", "status_received_us", "sent_us")
+STAMPS = ("echo_us", "received_us", "sent_us")
 Tracks = dict[str, list[int]]
 
 
@@ -29,6 +29,16 @@ def varint(value: int) -> bytes:
 def times(*values: int) -> bytes:
     """Signed 64-bit, little-endian."""
     return struct.pack(f"<{len(values)}q", *values)
+
+
+def stamped(echo_us: int, received_us: int, sent_us: int) -> bytes:
+    """The head of a SYNC and of a PLAN."""
+    return struct.pack("<Iqq", echo_us, received_us, sent_us)
+
+
+def _random_stamps(rng: Random) -> tuple[int, int, int]:
+    received_us, sent_us = (rng.randrange(-TIME_MAX, TIME_MAX) for _ in range(2))
+    return rng.randrange(1 << 32), received_us, sent_us
 
 
 def varints(rng: Random) -> Iterator[str]:
@@ -59,30 +69,26 @@ def _runs_of_bytes() -> Iterator[str]:
 
 def syncs(rng: Random) -> Iterator[str]:
     """Encode into every capacity near the size; decode with stamps near their bounds."""
-    rows: list[tuple[int, ...]] = [
+    rows: list[tuple[int, int, int]] = [
         (0, 0, 0),
         (1, -1, 256),
-        (TIME_MAX, -TIME_MAX, 0),
-        (2**62, -(2**63), 2**63 - 1),
+        (2**32 - 1, TIME_MAX, -TIME_MAX),
+        (2**31, -(2**63), 2**63 - 1),
     ]
-    rows += [tuple(rng.randrange(-TIME_MAX, TIME_MAX) for _ in STAMPS) for _ in range(4)]
+    rows += [_random_stamps(rng) for _ in range(4)]
     for row in rows:
-        for capacity in (24, 25):
+        for capacity in (20, 21):
             yield line("sync-encode", **dict(zip(STAMPS, row, strict=True)), capacity=capacity)
-    for capacity in (0, 7, 8, 15, 16, 23):
+    for capacity in (0, 3, 4, 11, 12, 19):
         yield line("sync-encode", **dict(zip(STAMPS, rows[1], strict=True)), capacity=capacity)
     for row in rows:
-        yield line("sync-decode", payload=times(*row))
-    for size in (0, 1, 7, 8, 16, 23, 25, 32):
-        yield line("sync-decode", payload=(times(*rows[1]) + bytes(8))[:size])
-    for value in (TIME_MAX - 1, TIME_MAX, TIME_MAX + 1, 2**63 - 1):
-        for sign in (1, -1):
-            for i in range(3):
-                stamps = [sign * value if i == j else j for j in range(3)]
-                yield line("sync-decode", payload=times(*stamps))
-    for i in range(3):
-        stamps = [-(2**63) if i == j else j for j in range(3)]
-        yield line("sync-decode", payload=times(*stamps))
+        yield line("sync-decode", payload=stamped(*row))
+    for size in (0, 1, 3, 4, 12, 19, 21, 24):
+        yield line("sync-decode", payload=(stamped(*rows[1]) + bytes(8))[:size])
+    for value in (TIME_MAX - 1, TIME_MAX, TIME_MAX + 1, 2**63 - 1, -(2**63)):
+        for sign in (1, -1) if value > 0 else (1,):
+            yield line("sync-decode", payload=stamped(1, sign * value, 2))
+            yield line("sync-decode", payload=stamped(1, 2, sign * value))
 
 
 def _track(rng: Random, count: int) -> list[int]:
@@ -116,7 +122,7 @@ def _coded(points: list[int]) -> bytes:
 def _payload(
     tracks: Tracks,
     *,
-    stamps: tuple[int, ...] = (1, 2, 3),
+    stamps: tuple[int, int, int] = (1, 2, 3),
     number: int = 9,
     epoch: int = 3,
     first_knot: int = 77,
@@ -125,7 +131,7 @@ def _payload(
 ) -> bytes:
     bits = sum(1 << SINKS.index(name) for name in tracks)
     most = max(map(len, tracks.values()), default=0)
-    head = times(*stamps) + struct.pack("<IHq", number, epoch, first_knot)
+    head = stamped(*stamps) + struct.pack("<IHq", number, epoch, first_knot)
     head += bytes([bits if mask is None else mask, most if count is None else count])
     ordered = [tracks[name] for name in SINKS if name in tracks]
     return head + b"".join(map(_coded, ordered))
@@ -133,7 +139,8 @@ def _payload(
 
 def _encode(
     tracks: Tracks, *, capacity: int = 1000, mask: int | None = None, count: int | None = None,
-    number: int = 9, epoch: int = 3, first_knot: int = 77, stamps: tuple[int, ...] = (1, 2, 3),
+    number: int = 9, epoch: int = 3, first_knot: int = 77,
+    stamps: tuple[int, int, int] = (1, 2, 3),
 ) -> str:  # fmt: skip
     bits = sum(1 << SINKS.index(name) for name in tracks)
     values = dict(zip(STAMPS, stamps, strict=True))
@@ -160,7 +167,7 @@ def plans(rng: Random) -> Iterator[str]:
     for tracks in _plan_rows(rng):
         number, knot = rng.randrange(1 << 32), rng.randrange(-(1 << 63), 1 << 63)
         epoch = rng.randrange(1 << 16)
-        stamps = tuple(rng.randrange(-TIME_MAX, TIME_MAX) for _ in STAMPS)
+        stamps = _random_stamps(rng)
         yield _encode(tracks, number=number, epoch=epoch, first_knot=knot, stamps=stamps)
         payload = _payload(tracks, number=number, epoch=epoch, first_knot=knot, stamps=stamps)
         yield line("plan-decode", payload=payload)
@@ -177,10 +184,9 @@ def plans(rng: Random) -> Iterator[str]:
         tracks = {name: [2, 3, 3, 3] for i, name in enumerate(SINKS) if mask >> i & 1}
         yield line("plan-decode", payload=_payload(tracks, mask=mask, count=4))
     for value in (TIME_MAX, TIME_MAX + 1):
-        for i in range(3):
-            for sign in (-1, 1):
-                stamps = tuple(sign * value if i == j else 1 for j in range(3))
-                yield line("plan-decode", payload=_payload(small, stamps=stamps))
+        for sign in (-1, 1):
+            yield line("plan-decode", payload=_payload(small, stamps=(1, sign * value, 1)))
+            yield line("plan-decode", payload=_payload(small, stamps=(1, 1, sign * value)))
     yield from _hostile_points(rng)
 
 
@@ -233,16 +239,28 @@ def _hostile_points(rng: Random) -> Iterator[str]:
 
 
 STATUS = (
-    ("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4),
+    ("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4),
+    ("heard_us", 8), ("heard_age_us", 4), ("state", 1),
+    ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4),
     ("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1),
     ("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4),
     ("fault_position_pq", 4), ("fault_torque_tq", 4), ("plan_seen", 4), ("plan_accepted", 4),
     ("accepted_mask", 4), ("plans_accepted", 4), ("plans_late", 4), ("plans_refused", 4),
-    ("frames_bad", 4), ("coasts", 4), ("torque_peak_tq", 4), ("torque_clipped", 4),
+    ("frames_bad", 4), ("coasts", 4), ("stamps_excluded", 4), ("torque_peak_tq", 4),
+    ("torque_clipped", 4),
 )  # fmt: skip
 FLAGS = ("synced", "homed", "released", "grouped")  # from the lowest bit on
 SIGNED = (
-    *("holding_tq", "fault_time_us", "fault_value", "fault_limit"),
+    *(
+        "least_error_ns",
+        "most_error_ns",
+        "rate_q32",
+        "heard_us",
+        "holding_tq",
+        "fault_time_us",
+        "fault_value",
+        "fault_limit",
+    ),
     *("fault_position_pq", "fault_torque_tq", "torque_peak_tq"),
 )
 

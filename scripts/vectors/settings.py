@@ -22,7 +22,10 @@ USUAL: dict[str, Value] = {
     "supply_max_mV": 30_000, "chopper_mV": 28_000, "late_us": 400, "home_method": 1,
     "home_backwards": 0, "home_mark_count": -5, "home_speed_q16": 70_000,
     "home_acceleration_q16": 500, "home_torque_tq": 1 << 20, "home_way_counts": 9000,
-    "home_still_periods": 50, "knot_periods": [16, 0], "kp_tq": [40_000, 9], "ki_tq": [1, 31],
+    "home_still_periods": 50, "sync_method": 1, "drift_ppm": 250, "wander_ppb_s": 1500,
+    "to_device_least_us": 2000, "to_host_least_us": 1999, "limit_us": 70_000,
+    "interval_us": 80_000, "phase_gain": 4295, "skew_gain_q8": 11_000,
+    "knot_periods": [16, 0], "kp_tq": [40_000, 9], "ki_tq": [1, 31],
     "kd_tq": [2, 3], "velocity_tq": [4, 5], "resistance_mV": [6, 7], "emf_mV": [8, 9],
     "emf_tq": [10, 11], "supply_duty": [12, 13], "load_q8": [14, 15],
     "gap_policy": [0, 2, 2, 2, 2], "position": [0, -900, 900, 500, 60, 50],
@@ -54,6 +57,11 @@ HOME = (
     *(("home_acceleration_q16", -4), ("home_torque_tq", -4), ("home_way_counts", -4)),
     ("home_still_periods", 2),
 )
+SYNC = (
+    *(("sync_method", 1), ("drift_ppm", 2), ("wander_ppb_s", 2), ("to_device_least_us", 4)),
+    *(("to_host_least_us", 4), ("limit_us", 4), ("interval_us", 4), ("phase_gain", 2)),
+    ("skew_gain_q8", 2),
+)
 FLAGS = ("carries_gravity", "integrate_running", "bounded", "home_backwards")
 
 
@@ -70,10 +78,10 @@ def _numbers(values: dict[str, Value], rows: tuple[tuple[str, int], ...]) -> byt
 
 
 def encoded(values: dict[str, Value], with_key: bool) -> bytes:
-    """The layout of format 1."""
+    """The layout of format 2."""
     name, key, policies = values["name"], values["key"], values["gap_policy"]
     assert isinstance(name, bytes) and isinstance(key, bytes) and isinstance(policies, list)
-    out = b"\1" + (key if with_key else b"") + name.ljust(26, b"\0") + _numbers(values, HEAD)
+    out = b"\2" + (key if with_key else b"") + name.ljust(26, b"\0") + _numbers(values, HEAD)
     out += bytes(policies)
     for sink in SINKS:
         limits = values.get(sink, [0] * 6)
@@ -81,7 +89,7 @@ def encoded(values: dict[str, Value], with_key: bool) -> bytes:
         out += bytes([limits[0]]) + b"".join(
             (x % (1 << 32)).to_bytes(4, "little") for x in limits[1:]
         )
-    return out + b"".join(_numbers(values, rows) for rows in (SERVO, MONITOR, HOME))
+    return out + b"".join(_numbers(values, rows) for rows in (SERVO, MONITOR, HOME, SYNC))
 
 
 def settings(rng: Random) -> Iterator[str]:
@@ -89,7 +97,7 @@ def settings(rng: Random) -> Iterator[str]:
     yield line("settings-usual", **USUAL)
     yield line("settings-valid")
     yield from _bounds()
-    sizes = {name: size for row in (HEAD, SERVO, MONITOR, HOME) for name, size in row}
+    sizes = {name: size for row in (HEAD, SERVO, MONITOR, HOME, SYNC) for name, size in row}
     for with_key in (0, 1):
         whole = encoded(USUAL, bool(with_key))
         yield line("settings-decode", with_key=with_key, bytes=whole)
@@ -98,7 +106,7 @@ def settings(rng: Random) -> Iterator[str]:
         for cut in (0, 1, 40, len(whole) - 1):
             yield line("settings-decode", with_key=with_key, bytes=whole[:cut])
         yield line("settings-decode", with_key=with_key, bytes=whole + b"\0")
-        for number in (0, 2, 255):
+        for number in (0, 1, 3, 255):
             yield line("settings-decode", with_key=with_key, bytes=bytes([number]) + whole[1:])
     odd = dict(USUAL)
     odd |= {"name": bytes(range(65, 90)), "key": rng.randbytes(16), "gap_policy": [0, 255, 4, 1, 3]}
@@ -139,6 +147,15 @@ def _bounds() -> Iterator[str]:
         ("spike_counts", ((1 << 18) - 1, 1 << 18, (1 << 18) + 1)),
         ("home_speed_q16", ((1 << 30) - 1, 1 << 30, (1 << 30) + 1)),
         ("home_method", (2, 3, 4, 5, 255)),
+        ("sync_method", (0, 1, 2, 3, 255)),
+        ("drift_ppm", (0, 1, 299, 300, 301, 65_535)),
+        ("wander_ppb_s", (0, 1, 59_999, 60_000, 60_001, 65_535)),
+        ("to_device_least_us", (0, 999_999, 1_000_000, 1_000_001, (1 << 32) - 1)),
+        ("to_host_least_us", (0, 999_999, 1_000_000, 1_000_001, (1 << 32) - 1)),
+        ("limit_us", (0, 1, 999_999, 1_000_000, 1_000_001, (1 << 32) - 1)),
+        ("interval_us", (0, (1 << 32) - 1)),
+        ("phase_gain", (0, 65_535)),
+        ("skew_gain_q8", (0, 65_535)),
     ):  # fmt: skip
         for value in values:
             yield valid(**{name: value})

@@ -8,7 +8,7 @@ from random import Random
 
 from line import Value, line
 
-STATES, EVENTS, REASONS = 10, 13, 20
+STATES, EVENTS, REASONS = 10, 13, 21
 RING = 8
 INT32 = (-(1 << 31), -1, 0, 1, (1 << 31) - 1)
 

@@ -34,6 +34,7 @@ struct word {
 
 // One table for each kind of vectors; the last entry has no name.
 extern const struct word codec_words[], handshake_words[], payload_words[], motion_words[],
-    stop_words[], settings_words[], guard_words[], group_words[], history_words[], servo_words[];
+    stop_words[], settings_words[], guard_words[], group_words[], history_words[], servo_words[],
+    clock_words[];
 
 #endif

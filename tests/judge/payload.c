@@ -4,12 +4,12 @@
 #include "wire.h"
 
 static struct stamps given_stamps(void) {
-    return (struct stamps){given("status_us"), given("status_received_us"), given("sent_us")};
+    return (struct stamps){(uint32_t)given("echo_us"), given("received_us"), given("sent_us")};
 }
 
 static void say_stamps(const struct stamps *stamps) {
-    say_number("status_us", stamps->status_us);
-    say_number("status_received_us", stamps->status_received_us);
+    say_number("echo_us", stamps->echo_us);
+    say_number("received_us", stamps->received_us);
     say_number("sent_us", stamps->sent_us);
 }
 
@@ -108,6 +108,12 @@ static void replay_plan_decode(void) {
 // What a status has before its samples.
 #define STATUS_FIELDS(X)                                                                           \
     X(sent_us, sent_us)                                                                            \
+    X(sent_count_us, sent_count_us)                                                                \
+    X(least_error_ns, least_error_ns)                                                              \
+    X(most_error_ns, most_error_ns)                                                                \
+    X(rate_q32, rate_q32)                                                                          \
+    X(heard_us, heard_us)                                                                          \
+    X(heard_age_us, heard_age_us)                                                                  \
     X(state, state)                                                                                \
     X(refusal, refusal)                                                                            \
     X(synced, synced)                                                                              \
@@ -134,6 +140,7 @@ static void replay_plan_decode(void) {
     X(plans_refused, counters.plans_refused)                                                       \
     X(frames_bad, counters.frames_bad)                                                             \
     X(coasts, counters.coasts)                                                                     \
+    X(stamps_excluded, counters.stamps_excluded)                                                   \
     X(torque_peak_tq, torque_peak_tq)                                                              \
     X(torque_clipped, torque_clipped)                                                              \
     X(sample_count, sample_count)

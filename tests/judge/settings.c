@@ -43,7 +43,16 @@
     X(home_acceleration_q16, home.acceleration_q16)                                                \
     X(home_torque_tq, home.torque_tq)                                                              \
     X(home_way_counts, home.way_counts)                                                            \
-    X(home_still_periods, home.still_periods)
+    X(home_still_periods, home.still_periods)                                                      \
+    X(sync_method, sync.method)                                                                    \
+    X(drift_ppm, sync.drift_ppm)                                                                   \
+    X(wander_ppb_s, sync.wander_ppb_s)                                                             \
+    X(to_device_least_us, sync.to_device_least_us)                                                 \
+    X(to_host_least_us, sync.to_host_least_us)                                                     \
+    X(limit_us, sync.limit_us)                                                                     \
+    X(interval_us, sync.average.interval_us)                                                       \
+    X(phase_gain, sync.average.phase_gain)                                                         \
+    X(skew_gain_q8, sync.average.skew_gain_q8)
 
 #define SCALES(X)                                                                                  \
     X(knot_periods, knot_periods)                                                                  \

@@ -1,0 +1,254 @@
+"""What a device does about its clock: when it moves, stops, starts anew, and whom it believes."""
+
+import pytest
+from rig import POLL_US, POSITION, TORQUE, Rig, State, device_settings
+
+S = State
+DAY_US = 86_400_000_000
+OUTCAST = 64
+SYNC_US = 4000  # between the rig's frames
+
+
+def wandering_rig(margin_us: int, sync_lost_us: int = 10_000_000) -> Rig:
+    """Its interval grows by 30 us in the first second alone; the limit is so much above it."""
+    settings = device_settings()
+    sync = settings.sync
+    sync.wander_ppb_s = 60_000
+    settings.sync, settings.sync_lost_us = sync, sync_lost_us
+    known = Rig(settings=settings).sync().statuses[-1]
+    error_us = max(-known.least_error_ns, known.most_error_ns) // 1000 + 1
+    assert 1000 < error_us < 2000  # half of the round trip, and what a poll adds
+    sync.limit_us = error_us + margin_us
+    settings.sync = sync
+    return Rig(settings=settings).sync()
+
+
+def keep_running(rig: Rig, within_us: int) -> None:
+    """Plans at rest, which echo nothing, until it stops by itself."""
+    end, first = rig.now + within_us, rig.knot - 10
+    while rig.state == S.RUNNING:
+        assert rig.now < end
+        count = rig.knot + 20 - first
+        if count > 120:
+            first, count = first + 60, count - 60
+        tracks = {POSITION: [0] * count, TORQUE: [0] * count}
+        rig.epoch_us -= rig.delay_us  # it left then
+        assert rig.give(first, tracks) == "accepted"
+        rig.epoch_us += rig.delay_us
+        for _ in range(20):
+            if rig.state == S.RUNNING:
+                rig.poll()
+
+
+def run_into_running(rig: Rig) -> None:
+    first = rig.start(60)
+    rig.run_to_knot(first)
+    assert rig.give(first, {POSITION: [0] * 60, TORQUE: [0] * 60}) == "accepted"
+    assert rig.state == S.RUNNING
+
+
+def host_is_off(rig: Rig, by_us: int) -> None:
+    """Its time is another one from now on."""
+    rig.epoch_us += by_us
+    rig.stamps = (0, 0)
+
+
+# ---- the limit
+
+
+def test_an_interval_beyond_the_limit_stops_it() -> None:
+    rig = wandering_rig(margin_us=40)
+    run_into_running(rig)
+    rig.syncing = False
+    keep_running(rig, 10_000_000)
+    assert rig.state == S.TAIL and rig.reason == "CLOCK"
+    fault = rig.node.status.fault
+    limit_us = rig.settings.sync.limit_us
+    assert fault.state == S.RUNNING and fault.limit == limit_us
+    assert limit_us < fault.value <= limit_us + 2
+    assert not rig.node.synced
+    # It rests and holds, and is resumed only once its clock is good again.
+    rig.run_until(S.HOLD)
+    rig.epoch += 1
+    assert rig.ask("RESUME", 0, rig.epoch) == "UNSYNCED"
+    assert rig.state == S.HOLD
+    rig.syncing = True
+    rig.run(900_000)
+    assert rig.ask("RESUME", 0, rig.epoch) == "UNSYNCED"
+    rig.run(200_000)
+    assert rig.ask("RESUME", 0, rig.epoch) == "DONE"
+
+
+def test_a_wide_interval_ends_idle() -> None:
+    rig = wandering_rig(margin_us=40)
+    rig.syncing = False
+    rig.run_until(S.UNSYNCED, 5_000_000)
+    assert rig.reason == "NONE"  # nothing stopped
+    rig.syncing = True
+    rig.run_until(S.IDLE)
+
+
+def test_it_is_not_armed_with_a_clock_that_is_not_good() -> None:
+    """The instant after it left HOLD, before anything has followed from that."""
+    rig = wandering_rig(margin_us=40)
+    run_into_running(rig)
+    rig.syncing = False
+    keep_running(rig, 10_000_000)
+    rig.run_until(S.HOLD)
+    while rig.now % 1000 != 500:  # between servo periods
+        rig.poll()
+    assert rig.ask("DISARM") == "DONE" and rig.state == S.IDLE
+    assert rig.ask("ARM", 0, 9) == "UNSYNCED"
+    rig.period()
+    assert rig.state == S.UNSYNCED
+
+
+@pytest.mark.parametrize("sync_lost_us", [100_000, 10_000_000])
+def test_silence_is_told_from_an_unsure_clock(sync_lost_us: int) -> None:
+    """Whichever comes first."""
+    rig = wandering_rig(margin_us=40, sync_lost_us=sync_lost_us).arm()
+    rig.syncing = False
+    rig.run_until(S.TAIL, 5_000_000)
+    assert rig.reason == ("SYNC_LOST" if sync_lost_us == 100_000 else "CLOCK")
+
+
+# ---- a host whose time is another one
+
+
+@pytest.mark.parametrize("by_us", [DAY_US, -DAY_US, 3000, -3000])
+def test_a_host_that_contradicts_itself_moves_nothing(by_us: int) -> None:
+    """What he says is excluded and counted; as he says nothing else, the axis comes to rest."""
+    rig = wandering_rig(margin_us=40)
+    twin = wandering_rig(margin_us=40)
+    run_into_running(rig)
+    run_into_running(twin)
+    assert rig.now == twin.now
+    truth = rig.epoch_us
+    host_is_off(rig, by_us)
+    twin.syncing = False
+    for _ in range(400_000 // POLL_US):
+        rig.poll()
+        twin.poll()
+        assert rig.node.system_us(rig.now) == pytest.approx(truth + rig.now, abs=300)
+        assert rig.node.system_us(rig.now) == twin.node.system_us(twin.now)
+    status = rig.node.status
+    assert status.stamps_excluded >= 400_000 // SYNC_US - 2
+    assert status.frames_bad == 0 and twin.node.status.stamps_excluded == 0
+    assert status.heard_us > 0
+    rig.run(3_000_000)
+    assert rig.state == S.HOLD
+
+
+def test_and_its_plans_stop_it_by_the_clock() -> None:
+    """One whose plans are still in time: until the interval has grown beyond the limit."""
+    rig = wandering_rig(margin_us=40)
+    run_into_running(rig)
+    host_is_off(rig, 5000)
+    keep_running(rig, 10_000_000)
+    assert rig.state == S.TAIL and rig.reason == "CLOCK"
+    assert rig.node.status.stamps_excluded > 100
+
+
+@pytest.mark.parametrize("by_us", [DAY_US, -DAY_US, 10**9])
+def test_at_rest_it_starts_anew_after_64(by_us: int) -> None:
+    """From IDLE: what it knows is wrong, so it forgets it and takes the host's time."""
+    rig = Rig().sync()
+    assert rig.state == S.IDLE
+    before = rig.node.status.stamps_excluded
+    host_is_off(rig, by_us)
+    begin = rig.now
+    while rig.state == S.IDLE:
+        assert abs(rig.node.system_us(rig.now) - rig.host_us) > 10**8  # it does not step
+        rig.poll()
+    assert rig.state == S.UNSYNCED
+    assert rig.node.status.stamps_excluded - before == OUTCAST
+    assert rig.now - begin == pytest.approx(OUTCAST * SYNC_US, abs=2 * SYNC_US)
+    rig.run_until(S.IDLE)
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
+    assert rig.node.status.stamps_excluded - before <= OUTCAST + 1
+
+
+def test_unsynced_too() -> None:
+    """Half a second into settling the host's time is another one."""
+    rig = Rig()
+    rig.run(500_000)
+    assert rig.state == S.UNSYNCED and rig.node.status.stamps_excluded == 0
+    host_is_off(rig, DAY_US)
+    rig.run(OUTCAST * SYNC_US + 20_000)
+    assert rig.node.status.stamps_excluded == OUTCAST
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 2000
+    rig.run_until(S.IDLE)
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
+
+
+@pytest.mark.parametrize("state", ["ARMED", "HOLD"])
+def test_under_power_it_never_does(state: str) -> None:
+    rig = Rig().sync().arm()
+    if state == "HOLD":
+        assert rig.ask("STOP") == "DONE"
+        rig.run_until(S.HOLD)
+    host_is_off(rig, DAY_US)
+    for _ in range(350_000 // POLL_US):
+        before = rig.node.system_us(rig.now)
+        rig.poll()
+        assert abs(rig.node.system_us(rig.now) - before - POLL_US) <= 2
+    assert rig.node.status.stamps_excluded > OUTCAST
+    assert rig.state == S[state]
+
+
+def test_63_are_not_enough() -> None:
+    """And one that is right begins the row anew."""
+    rig = Rig().sync()
+    epoch_us = rig.epoch_us
+    for _ in range(3):
+        host_is_off(rig, DAY_US)
+        excluded = rig.node.status.stamps_excluded
+        while rig.node.status.stamps_excluded < excluded + OUTCAST - 1:
+            rig.poll()
+        rig.epoch_us = epoch_us
+        rig.run(20_000)
+        assert rig.state == S.IDLE
+        rig.flying.clear()
+        rig.stamps = (0, 0)
+    assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
+
+
+# ---- what it tells
+
+
+def test_a_status_tells_the_interval_and_what_was_heard() -> None:
+    rig = Rig(delay_us=3000).sync()
+    for _ in range(50):
+        rig.run(4000)
+        status = rig.statuses[-1]
+        true_us = rig.stamps[1] - rig.epoch_us - 3000  # it left then
+        error_ns = (status.sent_us - rig.epoch_us - true_us) * 1000
+        assert status.least_error_ns - 1000 <= error_ns <= status.most_error_ns + 1000
+        assert status.synced == (status.state >= S.IDLE)
+        assert (status.sent_count_us - 12_345) % (1 << 32) <= rig.now
+        # heard_us left the host 3 ms before it was heard
+        heard_true_us = status.heard_us - rig.epoch_us + 3000
+        assert abs(heard_true_us + status.heard_age_us - true_us) <= POLL_US
+        assert abs(status.rate_q32) < 1 << 20
+
+
+def test_before_the_first_stamps_nothing_is_known() -> None:
+    rig = Rig()
+    rig.syncing = False
+    rig.run(50_000)
+    assert rig.ask("FAULTS") == "DONE"
+    rig.run(50_000)
+    status = rig.statuses[-1]
+    assert (status.least_error_ns, status.most_error_ns) == (-(2**31 - 1), 2**31 - 1)
+    assert status.heard_us == 0 and status.stamps_excluded == 0
+
+
+def test_a_step_forgets_the_samples_of_before() -> None:
+    """A sample's stamp and a status' are of the same time, or the sample is not told."""
+    rig = Rig()
+    for _ in range(400):
+        rig.run(1000)
+        if rig.statuses:
+            status = rig.statuses[-1]
+            late = [status.sent_us - time_us for time_us, _ in status.samples]
+            assert all(0 <= age < 100_000 for age in late)
