@@ -3,6 +3,10 @@
 #include "device.h"
 #include "peer.h"
 
+// The count is rounded down, and so is the time at it. A time that is too early proves less of what
+// was sent, and more of what was received.
+#define ROUNDED_US 1
+
 static void send(struct board *board, int32_t port, const uint8_t *frame, int32_t size) {
     uint8_t packet[COBS_BOUND(PEER_RESPONSE_BYTES)];
     board_send(board, port, packet, cobs_encode(frame, size, packet));
@@ -36,7 +40,7 @@ static void answer(struct device *device, struct board *board, uint64_t nonce, i
     const struct sync *sync = &device->sync;
     struct peer_response response = {
         .nonce = nonce,
-        .received_us = clock_at(&device->clock, arrived_us),
+        .received_us = clock_at(&device->clock, arrived_us) + ROUNDED_US,
         .sent_us = clock_at(&device->clock, board_count_us(board)),
         .least_error_ns = sync->least_error_ns,
         .most_error_ns = sync->most_error_ns,

@@ -20,7 +20,7 @@
 
 struct peer_response {
     uint64_t nonce;                        // of the request
-    int64_t received_us, sent_us;          // its arrival and the answer's departure, system time
+    int64_t received_us, sent_us;          // its arrival, rounded up, and the answer's departure
     int32_t least_error_ns, most_error_ns; // system time minus the reference lies between them
     uint32_t lineage;                      // whose time it is, where no host says it
     bool settled;
