@@ -103,6 +103,18 @@ class Node:
     @property
     def synced(self) -> bool: ...
     @property
+    def lineage(self) -> int:
+        """Whose time it keeps, of boards among themselves."""
+
+    @property
+    def excluded(self) -> int:
+        """Stamps that contradicted what it knew."""
+
+    @property
+    def error_ns(self) -> tuple[int, int]:
+        """Its clock minus the reference lies between them, by what it knows."""
+
+    @property
     def true_us(self) -> int: ...
     @property
     def duty_q15(self) -> int: ...

@@ -221,6 +221,13 @@ NB_MODULE(_board, m) {
                      })
         .def_prop_ro("settings", [](Node &n) { return n->device.settings; })
         .def_prop_ro("synced", [](Node &n) { return n->device.sync.settled; })
+        .def_prop_ro("lineage", [](Node &n) { return n->device.sync.lineage; })
+        .def_prop_ro("excluded", [](Node &n) { return n->device.sync.excluded; })
+        .def_prop_ro("error_ns",
+                     [](Node &n) {
+                         return std::make_tuple(n->device.sync.least_error_ns,
+                                                n->device.sync.most_error_ns);
+                     })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })
