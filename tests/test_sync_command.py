@@ -82,6 +82,6 @@ def test_the_plot(tmp_path: Path) -> None:
 def test_mistakes(
     arguments: list[str], told: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert main(["sync", CONFIG, *QUICK[2:], *arguments]) == 2
+    assert main(["sync", CONFIG, *arguments]) == 2
     assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
