@@ -103,6 +103,11 @@ class Node:
     @property
     def synced(self) -> bool: ...
     @property
+    def error_ns(self) -> tuple[int, int]:
+        """What its clock is ahead by, at least and at most, as it told itself in its last servo
+        period; +-(2^31 - 1): not known."""
+
+    @property
     def true_us(self) -> int: ...
     @property
     def duty_q15(self) -> int: ...

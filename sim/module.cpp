@@ -221,6 +221,11 @@ NB_MODULE(_board, m) {
                      })
         .def_prop_ro("settings", [](Node &n) { return n->device.settings; })
         .def_prop_ro("synced", [](Node &n) { return n->device.sync.settled; })
+        .def_prop_ro("error_ns",
+                     [](Node &n) {
+                         const struct sync &s = n->device.sync;
+                         return std::make_tuple(s.least_error_ns, s.most_error_ns);
+                     })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })
