@@ -181,19 +181,22 @@ int64_t bounds_lower_q16(const struct bounds *bounds) { return bounds->lower.val
 
 int64_t bounds_upper_q16(const struct bounds *bounds) { return -bounds->upper.value_q16; }
 
-// A side's bound at other ticks: by the least of what the skew may have made of it.
-static int64_t side_at_q16(const struct bounds_side *side, const struct bounds_side *other,
-                           int64_t elapsed_us) {
+// A side's bound at other ticks: by the least of what the skew may have made of it, and wandered to.
+static int64_t side_at_q16(const struct bounds_limits *limits, const struct bounds_side *side,
+                           const struct bounds_side *other, int64_t elapsed_us) {
     int64_t skew_q32 = elapsed_us > 0 ? side->skew_q32 : -other->skew_q32;
-    return side->value_q16 + ((skew_q32 * elapsed_us) >> 16) - 1;
+    int64_t slack = slack_q16(limits, elapsed_us > 0 ? elapsed_us : -elapsed_us);
+    return side->value_q16 + ((skew_q32 * elapsed_us) >> 16) - slack;
 }
 
-int64_t bounds_lower_at_q16(const struct bounds *bounds, int64_t ticks_us) {
-    return side_at_q16(&bounds->lower, &bounds->upper, ticks_us - bounds->ticks_us);
+int64_t bounds_lower_at_q16(const struct bounds *bounds, const struct bounds_limits *limits,
+                            int64_t ticks_us) {
+    return side_at_q16(limits, &bounds->lower, &bounds->upper, ticks_us - bounds->ticks_us);
 }
 
-int64_t bounds_upper_at_q16(const struct bounds *bounds, int64_t ticks_us) {
-    return -side_at_q16(&bounds->upper, &bounds->lower, ticks_us - bounds->ticks_us);
+int64_t bounds_upper_at_q16(const struct bounds *bounds, const struct bounds_limits *limits,
+                            int64_t ticks_us) {
+    return -side_at_q16(limits, &bounds->upper, &bounds->lower, ticks_us - bounds->ticks_us);
 }
 
 int64_t bounds_middle_q16(const struct bounds *bounds) {

@@ -64,8 +64,10 @@ bool bounds_closed(const struct bounds *bounds);
 int64_t bounds_lower_q16(const struct bounds *bounds);
 int64_t bounds_upper_q16(const struct bounds *bounds);
 // The same at other ticks, some milliseconds before or after.
-int64_t bounds_lower_at_q16(const struct bounds *bounds, int64_t ticks_us);
-int64_t bounds_upper_at_q16(const struct bounds *bounds, int64_t ticks_us);
+int64_t bounds_lower_at_q16(const struct bounds *bounds, const struct bounds_limits *limits,
+                            int64_t ticks_us);
+int64_t bounds_upper_at_q16(const struct bounds *bounds, const struct bounds_limits *limits,
+                            int64_t ticks_us);
 int64_t bounds_middle_q16(const struct bounds *bounds);
 int32_t bounds_skew_q32(const struct bounds *bounds); // the middle of what it may be
 int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32); // that it may be

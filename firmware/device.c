@@ -185,7 +185,8 @@ static void watch_bus(struct device *device, const struct board *board) {
     uint32_t count_us;
     if (board_frame_start(board, &number, &count_us) &&
         marks_note(&device->marks, number, count_us))
-        device->status.mark = sync_date(&device->sync, &device->clock, number, count_us);
+        device->status.mark =
+            sync_date(&device->sync, &device->settings.sync, &device->clock, number, count_us);
 }
 
 void device_poll(struct device *device, struct board *board) {

@@ -1,5 +1,6 @@
 #include "peer.h"
 #include "frame.h" // version, types, prefixes
+#include "plan.h"  // the times' bound
 #include "wire.h"  // fields
 
 #define TAG_BYTES 8
@@ -14,6 +15,11 @@ static bool opens(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *frame, in
         return false;
     struct reader tag = {frame + size - TAG_BYTES, TAG_BYTES, 0, false};
     return read_uint(&tag, TAG_BYTES) == siphash24(key, PEER, frame, size - TAG_BYTES);
+}
+
+// Beyond it the differences of times would overflow.
+static bool is_time(int64_t time_us) {
+    return time_us <= PLAN_TIME_MAX && time_us >= -PLAN_TIME_MAX;
 }
 
 void peer_request_encode(const uint8_t key[SIPHASH_KEY_BYTES], uint64_t nonce,
@@ -62,5 +68,5 @@ bool peer_response_decode(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *f
     response->most_error_ns = (int32_t)(uint32_t)read_uint(&r, 4);
     response->lineage = (uint32_t)read_uint(&r, 4);
     response->settled = read_uint(&r, 1) & 1;
-    return true;
+    return is_time(response->received_us) && is_time(response->sent_us);
 }

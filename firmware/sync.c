@@ -126,14 +126,15 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
     return true;
 }
 
-struct mark sync_date(const struct sync *sync, const struct headway_clock *clock, uint16_t number,
-                      uint32_t count_us) {
+struct mark sync_date(const struct sync *sync, const struct sync_settings *settings,
+                      const struct headway_clock *clock, uint16_t number, uint32_t count_us) {
+    struct bounds_limits limits = limits_of(settings);
     struct mark mark = {number, MARK_OPEN, 0};
     if (!sync->begun || !bounds_closed(&sync->bounds))
         return mark;
     int64_t ticks_us = clock_ticks(clock, count_us), base_us = sync->bounds.base_us + ticks_us;
-    int64_t lower_us = bounds_lower_at_q16(&sync->bounds, ticks_us) >> 16;
-    int64_t upper_us = (bounds_upper_at_q16(&sync->bounds, ticks_us) >> 16) + 1 + STAMP_US;
+    int64_t lower_us = bounds_lower_at_q16(&sync->bounds, &limits, ticks_us) >> 16;
+    int64_t upper_us = (bounds_upper_at_q16(&sync->bounds, &limits, ticks_us) >> 16) + 1 + STAMP_US;
     if (upper_us - lower_us < MARK_OPEN) {
         mark.least_us = base_us + lower_us;
         mark.width_us = (uint16_t)(upper_us - lower_us);

@@ -81,8 +81,8 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
 
 // When the instant of a mark was, by the other clock, as far as that is known; the own counter showed
 // `count_us`, some milliseconds ago at most.
-struct mark sync_date(const struct sync *sync, const struct headway_clock *clock, uint16_t number,
-                      uint32_t count_us);
+struct mark sync_date(const struct sync *sync, const struct sync_settings *settings,
+                      const struct headway_clock *clock, uint16_t number, uint32_t count_us);
 
 // Takes what all boards know of a mark. False if it contradicts what is known here.
 bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,

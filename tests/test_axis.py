@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from headway.configs.axis import LinearAxis, RotaryAxis
 from headway.configs.load import ConfigError, load_config
 from headway.configs.save import save_config
-from headway.configs.schema import Config, Device, Loop
+from headway.configs.schema import Config, Device, Loop, Sync
 from headway.devices.axis import AxisUnits, position_limits, torque_limits
 from headway.devices.settings import device_settings
 from headway.firmware import _core
@@ -233,7 +233,7 @@ def test_a_slide_is_a_hinge_in_other_units(d: dict[str, Any]) -> None:
     for axis in both_kinds(d):
         units = AxisUnits.of(axis, loop)
         try:
-            servo = device_settings(axis, device, loop).servo
+            servo = device_settings(axis, device, loop, Sync()).servo
             position, torque = position_limits(axis, units), torque_limits(axis, units)
         except ValueError as error:
             told = str(error).replace("_rad_per_s", "_m_per_s").replace("_rad", "_m")

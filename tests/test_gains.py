@@ -213,7 +213,7 @@ KNOT_S = LOOP.knot_us * 1e-6
 HORIZON = SCHEDULED.mpc.horizon_us // LOOP.knot_us
 KNOTS = np.arange(HORIZON + 1)
 UNITS = [AxisUnits.of(axis, LOOP) for axis in AXES]
-LIMITS = [device_settings(axis, SCHEDULED.device, LOOP) for axis in AXES]
+LIMITS = [device_settings(axis, SCHEDULED.device, LOOP, SCHEDULED.sync) for axis in AXES]
 
 
 @cache

@@ -441,12 +441,22 @@ def fitting(v: Vector, payload: bytes | None) -> str:
     return f"payload={payload.hex()}"
 
 
+def mark(v: Vector) -> bytes:
+    number, width_us = v.number("mark_number"), v.number("mark_width_us")
+    return little(number, 2) + little(width_us, 2) + little(v.number("mark_least_us"), 8)
+
+
 def stamps(v: Vector) -> bytes:
-    return little(v.number("echo_us"), 4) + b"".join(little(v.number(n), 8) for n in STAMPS)
+    times = b"".join(little(v.number(n), 8) for n in STAMPS)
+    return little(v.number("echo_us"), 4) + times + mark(v)
 
 
 def told_stamps(reader: Reader) -> str:
-    return " ".join([f"echo_us={reader.take(4)}", *(f"{name}={reader.time()}" for name in STAMPS)])
+    echo = f"echo_us={reader.take(4)}"
+    times = " ".join(f"{name}={reader.time()}" for name in STAMPS)
+    number, width_us, least_us = reader.take(2), reader.take(2), reader.time()
+    told = f"mark_number={number} mark_width_us={width_us} mark_least_us={least_us}"
+    return f"{echo} {times} {told}"
 
 
 def judge_varint_encode(v: Vector) -> str:
@@ -530,6 +540,7 @@ def judge_plan_decode(v: Vector) -> str:
 STATUS = (
     *(("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4)),
     *(("heard_us", 8), ("heard_age_us", 4)),
+    *(("mark_number", 2), ("mark_width_us", 2), ("mark_least_us", 8)),
     *(("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4)),
     *(("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1)),
     *(("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4)),
@@ -544,7 +555,7 @@ FLAGS = ("synced", "homed", "released", "grouped")
 SIGNED = {
     name
     for name, _ in STATUS
-    if name.endswith(("_tq", "_ns", "rate_q32", "heard_us", "time_us", "value", "limit", "_pq"))
+    if name.endswith(("_tq", "_ns", "rate_q32", "heard_us", "least_us", "time_us", "value", "limit", "_pq"))
 }
 
 
@@ -1567,7 +1578,7 @@ def fields(text: str) -> list[tuple[str, int]]:
 
 HEAD = fields(
     "knot_shift 1, servo_period_us 2, sample_every 2, brake_periods 2, stop_us 4, sync_lost_us 4,"
-    "torque_step_tq -4, knot_periods 0, offset_count -4, carries_gravity 1"
+    "dither_us 2, torque_step_tq -4, knot_periods 0, offset_count -4, carries_gravity 1"
 )
 SERVO = fields(
     "kp_tq 0, ki_tq 0, kd_tq 0, velocity_tq 0, resistance_mV 0, emf_mV 0, emf_tq 0,"
@@ -1584,10 +1595,12 @@ HOME = fields(
     "home_acceleration_q16 -4, home_torque_tq -4, home_way_counts -4, home_still_periods 2"
 )
 SYNC = fields(
-    "sync_method 1, drift_ppm 2, wander_ppb_s 2, to_device_least_us 4, to_host_least_us 4,"
-    "limit_us 4, interval_us 4, phase_gain 2, skew_gain_q8 2"
+    "sync_method 1, among_boards 1, drift_ppm 2, wander_ppb_s 2, to_device_least_us 4,"
+    "to_host_least_us 4, limit_us 4, interval_us 4, phase_gain 2, skew_gain_q8 2"
 )
-BOOLEANS = {"carries_gravity", "integrate_running", "bounded", "home_backwards"}
+AMONG = fields("neighbours 1, ask_us 4, peer_least_us 4")
+BOOLEANS = {"carries_gravity", "integrate_running", "bounded", "home_backwards", "among_boards"}
+PORTS = {0, 1, 2, 3, 4}  # of a board; at the first one is the host
 
 
 @dataclass
@@ -1616,15 +1629,13 @@ class Settings:
         return b"".join(parts)
 
     def encoded(self, with_key: bool) -> bytes:
-        key = bytes.fromhex(self.given["key"]) if with_key else b""
-        out = b"\2" + key + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
+        keys = bytes.fromhex(self.given["key"] + self.given["peer_key"]) if with_key else b""
+        out = b"\2" + keys + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
         out += bytes(self.numbers("gap_policy", 5))
         for sink in SINKS:
             continuous, *limits = self.numbers(sink, 6)
             out += bytes([continuous]) + b"".join(little(x, 4) for x in limits)
-        return (
-            out + self.packed(SERVO) + self.packed(MONITOR) + self.packed(HOME) + self.packed(SYNC)
-        )
+        return out + b"".join(map(self.packed, (SERVO, MONITOR, HOME, SYNC, AMONG)))
 
     def valid(self) -> bool:
         """What settings.h, gate.h, gap.h, servo.h, home.h and sync.h ask for."""
@@ -1654,6 +1665,10 @@ class Settings:
         most |= {"home_speed_q16": (1 << 30) - 1, "knot_shift": 15}
         most |= {"sync_method": 1, "drift_ppm": 300, "wander_ppb_s": 60_000}
         most |= dict.fromkeys(["to_device_least_us", "to_host_least_us", "limit_us"], 10**6)
+        most |= {"peer_least_us": 10**6, "ask_us": 10**7}
+        beside = {port for port in range(8) if self.number("neighbours") >> port & 1}
+        if not beside <= PORTS - {0} or (beside and self.number("ask_us") < 1000):
+            return False
         return (
             all(self.number(name) >= low for name, low in (least | {"knot_shift": 9}).items())
             and all(self.number(name) <= high for name, high in most.items())
@@ -1662,12 +1677,12 @@ class Settings:
         )
 
 
-def decoded(data: bytes, with_key: bool, key: str) -> str:
-    """As the judge says settings; `key` is the one that was there."""
+def decoded(data: bytes, with_key: bool, keys: dict[str, str]) -> str:
+    """As the judge says settings; `keys` are those that were there."""
     reader = Reader(data)
     if reader.take(1) != 2:
         raise MalformedError
-    values: dict[str, str] = {"key": key}
+    values = dict(keys)
 
     def take(rows: list[tuple[str, int]]) -> None:
         for name, size in rows:
@@ -1683,18 +1698,18 @@ def decoded(data: bytes, with_key: bool, key: str) -> str:
             raise MalformedError
         return value
 
-    if with_key:
-        values["key"] = bytes(reader.take(1) for _ in range(16)).hex()
+    for name in ("key", "peer_key") if with_key else ():
+        values[name] = bytes(reader.take(1) for _ in range(16)).hex()
     values["name"] = bytes(reader.take(1) for _ in range(26)).hex()
     take(HEAD)
     values["gap_policy"] = runs([reader.take(1) for _ in range(5)])
     for sink in SINKS:
         values[sink] = runs([flag(), *(reader.take(4, True) for _ in range(5))])
-    for rows in (SERVO, MONITOR, HOME, SYNC):
+    for rows in (SERVO, MONITOR, HOME, SYNC, AMONG):
         take(rows)
     reader.done()
-    every = HEAD + SERVO + MONITOR + HOME + SYNC
-    order = ["name", "key", *(name for name, size in every if size)]
+    every = HEAD + SERVO + MONITOR + HOME + SYNC + AMONG
+    order = ["name", "key", "peer_key", *(name for name, size in every if size)]
     order += [name for name, size in every if not size]
     return " ".join(f"{name}={values[name]}" for name in [*order, "gap_policy", *SINKS])
 
@@ -1712,7 +1727,8 @@ def test_settings_are_what_the_layout_says() -> None:
             expected = fitting(v, data).replace("payload=", "bytes=")
         else:
             try:
-                expected = decoded(v.bytes("bytes"), v.given["with_key"] == "1", usual.given["key"])
+                keys = {name: usual.given[name] for name in ("key", "peer_key")}
+                expected = decoded(v.bytes("bytes"), v.given["with_key"] == "1", keys)
             except MalformedError:
                 expected = "malformed"
         assert v.answer == expected, v
@@ -1785,7 +1801,7 @@ def test_memory_keeps_the_newest_whole_record() -> None:
             expected = text + ("saved" if there else "failed")
         elif v.word == "store-load-settings":
             try:
-                expected = decoded(memory.load(0) or b"", True, "")
+                expected = decoded(memory.load(0) or b"", True, {})
             except MalformedError:
                 expected = "none"
         elif v.word == "store-save-faults":

@@ -12,7 +12,10 @@ from line import line
 TIME_MAX = 1 << 60
 POINT_MAX = (1 << 31) - 1
 SINKS = ("position", "torque", "kp", "ki", "kd")
-STAMPS = ("echo_us", "received_us", "sent_us")
+MARK = ("mark_number", "mark_width_us", "mark_least_us")
+STAMPS = ("echo_us", "received_us", "sent_us", *MARK)
+Stamps = tuple[int, int, int, int, int, int]
+FEW: Stamps = (1, 2, 3, 4, 5, 6)
 Tracks = dict[str, list[int]]
 
 
@@ -31,14 +34,15 @@ def times(*values: int) -> bytes:
     return struct.pack(f"<{len(values)}q", *values)
 
 
-def stamped(echo_us: int, received_us: int, sent_us: int) -> bytes:
+def stamped(*stamps: int) -> bytes:
     """The head of a SYNC and of a PLAN."""
-    return struct.pack("<Iqq", echo_us, received_us, sent_us)
+    return struct.pack("<IqqHHq", *stamps)
 
 
-def _random_stamps(rng: Random) -> tuple[int, int, int]:
-    received_us, sent_us = (rng.randrange(-TIME_MAX, TIME_MAX) for _ in range(2))
-    return rng.randrange(1 << 32), received_us, sent_us
+def _random_stamps(rng: Random) -> Stamps:
+    echo_us, number, width_us = (rng.randrange(1 << bits) for bits in (32, 16, 16))
+    received_us, sent_us, least_us = (rng.randrange(-TIME_MAX, TIME_MAX) for _ in range(3))
+    return echo_us, received_us, sent_us, number, width_us, least_us
 
 
 def varints(rng: Random) -> Iterator[str]:
@@ -69,26 +73,27 @@ def _runs_of_bytes() -> Iterator[str]:
 
 def syncs(rng: Random) -> Iterator[str]:
     """Encode into every capacity near the size; decode with stamps near their bounds."""
-    rows: list[tuple[int, int, int]] = [
-        (0, 0, 0),
-        (1, -1, 256),
-        (2**32 - 1, TIME_MAX, -TIME_MAX),
-        (2**31, -(2**63), 2**63 - 1),
+    rows: list[Stamps] = [
+        (0, 0, 0, 0, 0, 0),
+        (1, -1, 256, 1, 256, -2),
+        (2**32 - 1, TIME_MAX, -TIME_MAX, 2**16 - 1, 2**16 - 2, TIME_MAX),
+        (2**31, -(2**63), 2**63 - 1, 2**15, 2**16 - 1, -(2**63)),
     ]
     rows += [_random_stamps(rng) for _ in range(4)]
     for row in rows:
-        for capacity in (20, 21):
+        for capacity in (32, 33):
             yield line("sync-encode", **dict(zip(STAMPS, row, strict=True)), capacity=capacity)
-    for capacity in (0, 3, 4, 11, 12, 19):
+    for capacity in (0, 3, 4, 11, 12, 19, 20, 21, 22, 23, 24, 31):
         yield line("sync-encode", **dict(zip(STAMPS, rows[1], strict=True)), capacity=capacity)
     for row in rows:
         yield line("sync-decode", payload=stamped(*row))
-    for size in (0, 1, 3, 4, 12, 19, 21, 24):
+    for size in (0, 1, 3, 4, 12, 19, 20, 21, 24, 31, 33, 40):
         yield line("sync-decode", payload=(stamped(*rows[1]) + bytes(8))[:size])
     for value in (TIME_MAX - 1, TIME_MAX, TIME_MAX + 1, 2**63 - 1, -(2**63)):
         for sign in (1, -1) if value > 0 else (1,):
-            yield line("sync-decode", payload=stamped(1, sign * value, 2))
-            yield line("sync-decode", payload=stamped(1, 2, sign * value))
+            yield line("sync-decode", payload=stamped(1, sign * value, 2, 3, 4, 5))
+            yield line("sync-decode", payload=stamped(1, 2, sign * value, 3, 4, 5))
+            yield line("sync-decode", payload=stamped(1, 2, 3, 4, 5, sign * value))
 
 
 def _track(rng: Random, count: int) -> list[int]:
@@ -122,7 +127,7 @@ def _coded(points: list[int]) -> bytes:
 def _payload(
     tracks: Tracks,
     *,
-    stamps: tuple[int, int, int] = (1, 2, 3),
+    stamps: Stamps = FEW,
     number: int = 9,
     epoch: int = 3,
     first_knot: int = 77,
@@ -140,7 +145,7 @@ def _payload(
 def _encode(
     tracks: Tracks, *, capacity: int = 1000, mask: int | None = None, count: int | None = None,
     number: int = 9, epoch: int = 3, first_knot: int = 77,
-    stamps: tuple[int, int, int] = (1, 2, 3),
+    stamps: Stamps = FEW,
 ) -> str:  # fmt: skip
     bits = sum(1 << SINKS.index(name) for name in tracks)
     values = dict(zip(STAMPS, stamps, strict=True))
@@ -185,8 +190,12 @@ def plans(rng: Random) -> Iterator[str]:
         yield line("plan-decode", payload=_payload(tracks, mask=mask, count=4))
     for value in (TIME_MAX, TIME_MAX + 1):
         for sign in (-1, 1):
-            yield line("plan-decode", payload=_payload(small, stamps=(1, sign * value, 1)))
-            yield line("plan-decode", payload=_payload(small, stamps=(1, 1, sign * value)))
+            for stamps in (
+                (1, sign * value, 1, 1, 1, 1),
+                (1, 1, sign * value, 1, 1, 1),
+                (1, 1, 1, 1, 1, sign * value),
+            ):
+                yield line("plan-decode", payload=_payload(small, stamps=stamps))
     yield from _hostile_points(rng)
 
 
@@ -240,8 +249,8 @@ def _hostile_points(rng: Random) -> Iterator[str]:
 
 STATUS = (
     ("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4),
-    ("heard_us", 8), ("heard_age_us", 4), ("state", 1),
-    ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4),
+    ("heard_us", 8), ("heard_age_us", 4), ("mark_number", 2), ("mark_width_us", 2),
+    ("mark_least_us", 8), ("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4),
     ("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1),
     ("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4),
     ("fault_position_pq", 4), ("fault_torque_tq", 4), ("plan_seen", 4), ("plan_accepted", 4),
@@ -251,17 +260,9 @@ STATUS = (
 )  # fmt: skip
 FLAGS = ("synced", "homed", "released", "grouped")  # from the lowest bit on
 SIGNED = (
-    *(
-        "least_error_ns",
-        "most_error_ns",
-        "rate_q32",
-        "heard_us",
-        "holding_tq",
-        "fault_time_us",
-        "fault_value",
-        "fault_limit",
-    ),
-    *("fault_position_pq", "fault_torque_tq", "torque_peak_tq"),
+    *("least_error_ns", "most_error_ns", "rate_q32", "heard_us", "mark_least_us", "holding_tq"),
+    *("fault_time_us", "fault_value", "fault_limit", "fault_position_pq", "fault_torque_tq"),
+    "torque_peak_tq",
 )
 
 
@@ -305,7 +306,7 @@ def statuses(rng: Random) -> Iterator[str]:
         yield line("status-decode", payload=payload)
         if count == 2:
             whole = len(payload)
-            for size in (0, 7, 8, 40, 83, *range(whole - 5, whole + 2)):
+            for size in (0, 7, 8, 35, 36, 37, 38, 39, 40, 47, 48, 52, 95, *range(whole - 5, whole + 2)):
                 yield line("status-encode", sent_us=sent_us, **given, capacity=size)
                 yield line("status-decode", payload=(payload + b"\0")[:size])
     for name, size in STATUS:  # each field by itself

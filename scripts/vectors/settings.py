@@ -12,8 +12,9 @@ SINKS = ("position", "torque", "kp", "ki", "kd")
 TOP, LOW = (1 << 31) - 1, -(1 << 31)
 ONE: list[int] = [1, 0]
 USUAL: dict[str, Value] = {
-    "name": b"elbow", "key": bytes(range(16)), "knot_shift": 12, "servo_period_us": 256,
+    "name": b"elbow", "key": bytes(range(16)), "peer_key": bytes(range(16, 32)), "knot_shift": 12, "servo_period_us": 256,
     "sample_every": 4, "brake_periods": 200, "stop_us": 500_000, "sync_lost_us": 2_000_000,
+    "dither_us": 1234,
     "torque_step_tq": 300, "offset_count": -77, "carries_gravity": 0, "torque_limit_tq": 1 << 22,
     "integrate_running": 1, "following_pq": 5000, "following_periods": 3, "speed_pq": 40_000,
     "bounded": 1, "low_pq": -1_000_000, "high_pq": 2_000_000, "deceleration_q16": 65_536,
@@ -22,9 +23,10 @@ USUAL: dict[str, Value] = {
     "supply_max_mV": 30_000, "chopper_mV": 28_000, "late_us": 400, "home_method": 1,
     "home_backwards": 0, "home_mark_count": -5, "home_speed_q16": 70_000,
     "home_acceleration_q16": 500, "home_torque_tq": 1 << 20, "home_way_counts": 9000,
-    "home_still_periods": 50, "sync_method": 1, "drift_ppm": 250, "wander_ppb_s": 1500,
+    "home_still_periods": 50, "sync_method": 1, "among_boards": 0, "drift_ppm": 250, "wander_ppb_s": 1500,
     "to_device_least_us": 2000, "to_host_least_us": 1999, "limit_us": 70_000,
     "interval_us": 80_000, "phase_gain": 4295, "skew_gain_q8": 11_000,
+    "neighbours": 6, "ask_us": 20_000, "peer_least_us": 300,
     "knot_periods": [16, 0], "kp_tq": [40_000, 9], "ki_tq": [1, 31],
     "kd_tq": [2, 3], "velocity_tq": [4, 5], "resistance_mV": [6, 7], "emf_mV": [8, 9],
     "emf_tq": [10, 11], "supply_duty": [12, 13], "load_q8": [14, 15],
@@ -38,8 +40,8 @@ SCALES = (
 # Bytes of each number on the wire, in their order; negative: signed.
 HEAD = (
     *(("knot_shift", 1), ("servo_period_us", 2), ("sample_every", 2), ("brake_periods", 2)),
-    *(("stop_us", 4), ("sync_lost_us", 4), ("torque_step_tq", -4), ("knot_periods", 0)),
-    *(("offset_count", -4), ("carries_gravity", 1)),
+    *(("stop_us", 4), ("sync_lost_us", 4), ("dither_us", 2), ("torque_step_tq", -4)),
+    *(("knot_periods", 0), ("offset_count", -4), ("carries_gravity", 1)),
 )
 SERVO = (
     *((name, 0) for name in SCALES[1:9]),
@@ -58,11 +60,12 @@ HOME = (
     ("home_still_periods", 2),
 )
 SYNC = (
-    *(("sync_method", 1), ("drift_ppm", 2), ("wander_ppb_s", 2), ("to_device_least_us", 4)),
-    *(("to_host_least_us", 4), ("limit_us", 4), ("interval_us", 4), ("phase_gain", 2)),
-    ("skew_gain_q8", 2),
+    *(("sync_method", 1), ("among_boards", 1), ("drift_ppm", 2), ("wander_ppb_s", 2)),
+    *(("to_device_least_us", 4), ("to_host_least_us", 4), ("limit_us", 4), ("interval_us", 4)),
+    *(("phase_gain", 2), ("skew_gain_q8", 2)),
 )
-FLAGS = ("carries_gravity", "integrate_running", "bounded", "home_backwards")
+AMONG = (("neighbours", 1), ("ask_us", 4), ("peer_least_us", 4))
+FLAGS = ("carries_gravity", "integrate_running", "bounded", "home_backwards", "among_boards")
 
 
 def _numbers(values: dict[str, Value], rows: tuple[tuple[str, int], ...]) -> bytes:
@@ -79,9 +82,11 @@ def _numbers(values: dict[str, Value], rows: tuple[tuple[str, int], ...]) -> byt
 
 def encoded(values: dict[str, Value], with_key: bool) -> bytes:
     """The layout of format 2."""
-    name, key, policies = values["name"], values["key"], values["gap_policy"]
-    assert isinstance(name, bytes) and isinstance(key, bytes) and isinstance(policies, list)
-    out = b"\2" + (key if with_key else b"") + name.ljust(26, b"\0") + _numbers(values, HEAD)
+    name, key, peer_key = values["name"], values["key"], values["peer_key"]
+    policies = values["gap_policy"]
+    assert isinstance(name, bytes) and isinstance(key, bytes) and isinstance(peer_key, bytes)
+    assert isinstance(policies, list)
+    out = b"\2" + (key + peer_key if with_key else b"") + name.ljust(26, b"\0") + _numbers(values, HEAD)
     out += bytes(policies)
     for sink in SINKS:
         limits = values.get(sink, [0] * 6)
@@ -89,7 +94,7 @@ def encoded(values: dict[str, Value], with_key: bool) -> bytes:
         out += bytes([limits[0]]) + b"".join(
             (x % (1 << 32)).to_bytes(4, "little") for x in limits[1:]
         )
-    return out + b"".join(_numbers(values, rows) for rows in (SERVO, MONITOR, HOME, SYNC))
+    return out + b"".join(_numbers(values, rows) for rows in (SERVO, MONITOR, HOME, SYNC, AMONG))
 
 
 def settings(rng: Random) -> Iterator[str]:
@@ -97,7 +102,7 @@ def settings(rng: Random) -> Iterator[str]:
     yield line("settings-usual", **USUAL)
     yield line("settings-valid")
     yield from _bounds()
-    sizes = {name: size for row in (HEAD, SERVO, MONITOR, HOME, SYNC) for name, size in row}
+    sizes = {name: size for row in (HEAD, SERVO, MONITOR, HOME, SYNC, AMONG) for name, size in row}
     for with_key in (0, 1):
         whole = encoded(USUAL, bool(with_key))
         yield line("settings-decode", with_key=with_key, bytes=whole)
@@ -110,6 +115,7 @@ def settings(rng: Random) -> Iterator[str]:
             yield line("settings-decode", with_key=with_key, bytes=bytes([number]) + whole[1:])
     odd = dict(USUAL)
     odd |= {"name": bytes(range(65, 90)), "key": rng.randbytes(16), "gap_policy": [0, 255, 4, 1, 3]}
+    odd["peer_key"] = rng.randbytes(16)
     for name, size in sizes.items():
         if size == 0:
             odd[name] = [rng.randrange(1 << 16), rng.randrange(1 << 8)]
@@ -156,9 +162,16 @@ def _bounds() -> Iterator[str]:
         ("interval_us", (0, (1 << 32) - 1)),
         ("phase_gain", (0, 65_535)),
         ("skew_gain_q8", (0, 65_535)),
+        ("dither_us", (0, 65_535)),
+        ("among_boards", (0, 1)),
+        ("neighbours", (0, 1, 2, 3, 4, 7, 8, 9, 14, 15, 16, 30, 32, 128, 255)),
+        ("ask_us", (0, 1, 999, 1000, 9_999_999, 10_000_000, 10_000_001, (1 << 32) - 1)),
+        ("peer_least_us", (0, 999_999, 1_000_000, 1_000_001, (1 << 32) - 1)),
     ):  # fmt: skip
         for value in values:
             yield valid(**{name: value})
+    for ask_us in (0, 999, 10_000_000, 10_000_001):  # nobody is asked
+        yield valid(neighbours=0, ask_us=ask_us)
     for name in (
         *("servo_period_us", "sample_every", "torque_step_tq", "torque_limit_tq", "following_pq"),
         *("speed_pq", "stuck_pq", "deceleration_q16", "spike_counts", "rise_q16"),

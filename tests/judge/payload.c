@@ -3,14 +3,23 @@
 #include "status.h"
 #include "wire.h"
 
+static struct mark given_mark(void) {
+    return (struct mark){(uint16_t)given("mark_number"), (uint16_t)given("mark_width_us"),
+                         given("mark_least_us")};
+}
+
 static struct stamps given_stamps(void) {
-    return (struct stamps){(uint32_t)given("echo_us"), given("received_us"), given("sent_us")};
+    return (struct stamps){(uint32_t)given("echo_us"), given("received_us"), given("sent_us"),
+                           given_mark()};
 }
 
 static void say_stamps(const struct stamps *stamps) {
     say_number("echo_us", stamps->echo_us);
     say_number("received_us", stamps->received_us);
     say_number("sent_us", stamps->sent_us);
+    say_number("mark_number", stamps->mark.number);
+    say_number("mark_width_us", stamps->mark.width_us);
+    say_number("mark_least_us", stamps->mark.least_us);
 }
 
 static void say_payload(const uint8_t *payload, int32_t size) {
@@ -114,6 +123,9 @@ static void replay_plan_decode(void) {
     X(rate_q32, rate_q32)                                                                          \
     X(heard_us, heard_us)                                                                          \
     X(heard_age_us, heard_age_us)                                                                  \
+    X(mark_number, mark.number)                                                                    \
+    X(mark_width_us, mark.width_us)                                                                \
+    X(mark_least_us, mark.least_us)                                                                \
     X(state, state)                                                                                \
     X(refusal, refusal)                                                                            \
     X(synced, synced)                                                                              \

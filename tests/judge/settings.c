@@ -13,6 +13,7 @@
     X(brake_periods, brake_periods)                                                                \
     X(stop_us, stop_us)                                                                            \
     X(sync_lost_us, sync_lost_us)                                                                  \
+    X(dither_us, dither_us)                                                                        \
     X(torque_step_tq, torque_step_tq)                                                              \
     X(offset_count, offset_count)                                                                  \
     X(carries_gravity, carries_gravity)                                                            \
@@ -45,6 +46,7 @@
     X(home_way_counts, home.way_counts)                                                            \
     X(home_still_periods, home.still_periods)                                                      \
     X(sync_method, sync.method)                                                                    \
+    X(among_boards, sync.among_boards)                                                             \
     X(drift_ppm, sync.drift_ppm)                                                                   \
     X(wander_ppb_s, sync.wander_ppb_s)                                                             \
     X(to_device_least_us, sync.to_device_least_us)                                                 \
@@ -52,7 +54,10 @@
     X(limit_us, sync.limit_us)                                                                     \
     X(interval_us, sync.average.interval_us)                                                       \
     X(phase_gain, sync.average.phase_gain)                                                         \
-    X(skew_gain_q8, sync.average.skew_gain_q8)
+    X(skew_gain_q8, sync.average.skew_gain_q8)                                                     \
+    X(neighbours, neighbours)                                                                      \
+    X(ask_us, ask_us)                                                                              \
+    X(peer_least_us, peer_least_us)
 
 #define SCALES(X)                                                                                  \
     X(knot_periods, knot_periods)                                                                  \
@@ -85,6 +90,8 @@ static struct device_settings given_settings(void) {
     }
     if (is_given("key"))
         memcpy(settings.key, given_bytes("key", &size), sizeof settings.key);
+    if (is_given("peer_key"))
+        memcpy(settings.peer_key, given_bytes("peer_key", &size), sizeof settings.peer_key);
 #define SET(field, member)                                                                         \
     if (is_given(#field))                                                                          \
         settings.member = given(#field);
@@ -111,6 +118,7 @@ static struct device_settings given_settings(void) {
 static void say_settings(const struct device_settings *settings) {
     say_bytes("name", (const uint8_t *)settings->name, sizeof settings->name);
     say_bytes("key", settings->key, sizeof settings->key);
+    say_bytes("peer_key", settings->peer_key, sizeof settings->peer_key);
 #define SAY(field, member) say_number(#field, settings->member);
     NUMBERS(SAY)
 #define SAY_SCALE(field, member)                                                                   \
