@@ -149,6 +149,7 @@ static void follow(struct device *device, const struct board *board, uint32_t co
 // step with a bus, and then each status would wait for its turn there as long as any other.
 void device_report(struct device *device, struct board *board) {
     uint32_t count_us = board_count_us(board);
+    neighbours_speak(device, board);
     if (!device->status_waits || (int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
@@ -168,7 +169,6 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     heed_guard(device, count_us);
     drive(device, board, time_us, count_us);
     admit_advance(device, count_us);
-    neighbours_ask(device, board, count_us);
     if (device_knot_at(device, time_us) != device->status_knot) {
         device->status_knot = device_knot_at(device, time_us);
         device->status_waits = true;

@@ -84,8 +84,8 @@ void device_configure(struct device *device, const struct device_settings *setti
 // from an interrupt, comes device_guard (guard.h).
 void device_poll(struct device *device, struct board *board);
 
-// Sends a status that waits for its moment. device_poll does so as well; in between it may be called
-// as often as a board likes.
+// Sends what waits for its moment: a status, questions to neighbours and answers. device_poll does so
+// as well; in between it may be called as often as a board likes.
 void device_report(struct device *device, struct board *board);
 
 // The axis' position, from the encoder's last count and the offset.

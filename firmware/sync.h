@@ -94,6 +94,9 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
 
+// Whether the time is its own: nobody is followed.
+bool sync_is_reference(const struct sync *sync);
+
 // The error's bound, either way, in us; SYNC_ERROR_OPEN: none.
 int32_t sync_error_us(const struct sync *sync);
 
