@@ -331,7 +331,7 @@ ROUND_US = 2**32 * 10**9
 def shifted_run(true_us: int, epoch_us: int) -> str:
     """A hash of all motion of a run in which true time starts at `true_us` and the host's epoch is
     moved."""
-    lock = lockstep("duration_s=0.4")
+    lock = lockstep("duration_s=0.4", "sim.clocks.wander_ppm_per_s=0")
     counts = lock.plant.position * 40_000 / (2 * np.pi)
     for node, count in zip(lock.plant.nodes, counts, strict=True):
         node.poll(true_us, round(count))
