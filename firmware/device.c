@@ -173,7 +173,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
         device->status_knot = device_knot_at(device, time_us);
         device->status_waits = true;
         device->status_us = count_us;
-        if (device->status_knot % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
+        if (++device->reports % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
             device->status_us += (uint32_t)(board_random(board) % device->settings.dither_us);
     }
     device_report(device, board);

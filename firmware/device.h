@@ -56,7 +56,8 @@ struct device {
     uint32_t next_servo_us; // local count of the next servo period
     uint32_t periods;
     int64_t status_knot;   // knot of the last status
-    bool status_waits;     // it has not left yet ...
+    uint32_t reports;      // statuses so far
+    bool status_waits;     // the last one has not left yet ...
     uint32_t status_us;    // ... and does at this count
     int64_t accepted_knot; // knot in which the last plan was accepted
     int64_t start_knot;    // of the first plan
