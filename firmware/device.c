@@ -117,7 +117,8 @@ static void follow_sync(struct device *device, uint32_t count_us) {
     struct breach wide = {REASON_CLOCK, sync_error_us(sync),
                           (int32_t)device->settings.sync.limit_us};
     bool resting = device->state == DEVICE_UNSYNCED || device->state == DEVICE_IDLE;
-    if (resting && sync->outcast >= SYNC_OUTCAST) { // not one sample is wrong, but what is known
+    bool wrong = sync->outcast >= SYNC_OUTCAST || sync->doubtful;
+    if (resting && wrong) { // not one sample is wrong, but what is known
         sync_restart(&device->sync);
         happen(device, EVENT_SYNC_LOST);
     } else if (sync->settled && alone_us <= device->settings.sync_lost_us) {

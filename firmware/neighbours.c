@@ -4,6 +4,8 @@
 #include "fixed.h" // clamp
 #include "peer.h"
 
+_Static_assert(BOARD_PORTS <= SYNC_SOURCES, "each port is a source of its own");
+
 #define BLUR_PPM 800 // a clock is slewed by 500 ppm at most, a reference drifts by 300 against it
 #define BLUR_MAX_US 1000000
 
@@ -108,7 +110,8 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
     struct stamps stamps = {.echo_us = question->sent_us,
                             .received_us = response.received_us,
                             .sent_us = response.sent_us};
-    struct sync_source source = {.to_here_least_us = settings->peer_least_us,
+    struct sync_source source = {.number = (uint8_t)port,
+                                 .to_here_least_us = settings->peer_least_us,
                                  .to_there_least_us = settings->peer_least_us,
                                  .least_error_ns = response.least_error_ns,
                                  .most_error_ns = response.most_error_ns,

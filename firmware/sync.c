@@ -125,11 +125,15 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
         return false;
     bool same = !settings->among_boards || source->lineage.id == sync->lineage;
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    uint16_t *doubt = &sync->doubt[source->number];
+    sync->heard |= (uint8_t)(1 << source->number);
     if (!same || !prove(sync, &limits, clock, source, stamps, arrived_us)) {
+        *doubt = *doubt > SYNC_DOUBT_MAX ? *doubt : (uint16_t)(*doubt + SYNC_DOUBT_STEP);
         sync->excluded++;
         sync->outcast++;
         return false;
     }
+    *doubt -= *doubt > 0;
     sync->outcast = 0;
     sync->heard_us = clock_ticks(clock, now_count_us);
     struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);
@@ -234,6 +238,14 @@ static bool follow(struct sync *sync, const struct sync_settings *settings,
     return steps;
 }
 
+// Whether every source that is heard contradicts what is known, again and again.
+static bool doubts_all(const struct sync *sync) {
+    for (int32_t i = 0; i < SYNC_SOURCES; i++)
+        if (sync->heard >> i & 1 && sync->doubt[i] < SYNC_DOUBT_MAX)
+            return false;
+    return sync->heard != 0;
+}
+
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step) {
     struct bounds_limits limits = limits_of(settings);
@@ -251,6 +263,11 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
         bounds_advance(&sync->bounds, &limits, clock->ticks_us);
         if (bounds_closed(&sync->bounds))
             steps |= follow(sync, settings, clock, may_step);
+    }
+    sync->doubtful |= doubts_all(sync);
+    if (sync->doubtful) {
+        sync->least_error_ns = -SYNC_ERROR_OPEN;
+        sync->most_error_ns = SYNC_ERROR_OPEN;
     }
     if (sync_error_us(sync) > (int32_t)settings->limit_us)
         sync->wide_us = clock->ticks_us;
