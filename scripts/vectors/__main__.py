@@ -21,6 +21,7 @@ import guard
 import handshake
 import history
 import payload
+import peer
 import servo
 import settings
 import stop
@@ -58,6 +59,9 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "bounds": clock.bounds,
     "steering": clock.steering,
     "averages": clock.averages,
+    "peers": peer.peers,
+    "lineages": peer.lineages,
+    "marks": peer.marks,
 }
 
 

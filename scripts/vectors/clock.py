@@ -36,6 +36,7 @@ class _World:
 
     def __init__(self, rng: Random, drift_q32: int, wander_q64: int, offset_us: int) -> None:
         self.rng, self.drift, self.wander = rng, drift_q32, wander_q64
+        self.epoch = EPOCH_US
         self.ticks, self.theta_q16 = 0, offset_us << 16
         self.skew = rng.randrange(-drift_q32 // 2, drift_q32 // 2 + 1)
 
@@ -50,7 +51,7 @@ class _World:
 
     def host_us(self) -> int:
         """The other clock, rounded down."""
-        return EPOCH_US + self.ticks + (self.theta_q16 >> 16)
+        return self.epoch + self.ticks + (self.theta_q16 >> 16)
 
 
 def _sides(rng: Random, world: _World, rows: int, gap_us: int, delay_us: int) -> Iterator[str]:
@@ -76,6 +77,10 @@ def bounds(rng: Random) -> Iterator[str]:
             world = _World(rng, drift, wander, rng.choice([0, 77, -(1 << 30)]))
             world.ticks = start
             yield from _sides(rng, world, rows, gap_us, delay_us)
+            for aside in (0, 1, -1, 1023, 1024, 1025, -5000, 20_000):
+                yield line("bounds-at", ticks_us=world.ticks + aside)
+            for skew in (0, 1, drift // 2, -drift // 3, drift, -drift, 1 << 30, -(1 << 30)):
+                yield line("bounds-nearest", skew_q32=skew)
             for far in (1 << 22, 1 << 36, -(1 << 36), (1 << 43) << 16, -((1 << 43) << 16)):
                 above = {"at_least_q16": world.theta_q16 + (delay_us + 100_000 << 16) + abs(far)}
                 below = {"at_most_q16": world.theta_q16 - (delay_us + 100_000 << 16) - abs(far)}
@@ -94,15 +99,19 @@ def bounds(rng: Random) -> Iterator[str]:
 USUAL: dict[str, Value] = {
     "method": 0, "drift_ppm": 150, "wander_ppb_s": 1000, "to_device_least_us": 0,
     "to_host_least_us": 0, "limit_us": 1000, "interval_us": 16_384, "phase_gain": 4295,
-    "skew_gain_q8": 10_995,
+    "skew_gain_q8": 10_995, "among_boards": 0, "id": 0,
 }  # fmt: skip
 
 
 def _talk(
     rng: Random, start: int, count: int, period_us: int, delay_us: int, lies: tuple[int, ...],
-    least_us: tuple[int, int] = (0, 0), **changes: Value,
+    least_us: tuple[int, int] = (0, 0), marked_us: int | None = None, **changes: Value,
 ) -> Iterator[str]:  # fmt: skip
-    """A host and a device, one frame each way in a period; then silence, and one frame more."""
+    """A host and a device, one frame each way in a period; then silence, and one frame more.
+
+    With `marked_us` there is a mark in the second half of the talk every fourth period, which all
+    boards together know so well.
+    """
     given = USUAL | changes
     given |= {"to_device_least_us": least_us[0], "to_host_least_us": least_us[1]}
     yield line("sync", **given, count_us=start)
@@ -121,15 +130,121 @@ def _talk(
         if echo is not None:
             stamps |= {"echo_us": echo[0], "received_us": echo[1] + lie_us}
         now = world.ticks + rng.randrange(200)
-        yield line("sync-take", **stamps, arrived_us=arrived, count_us=(start + now) % WRAP)
+        may_step = int(i <= settled)
+        now_us = (start + now) % WRAP
+        yield line("sync-take", **stamps, arrived_us=arrived, count_us=now_us, may_step=may_step)
         world.go(now)
-        yield line("sync-steer", count_us=(start + now) % WRAP, may_step=int(i <= settled))
+        yield line("sync-steer", count_us=now_us, may_step=may_step)
+        if marked_us is not None and i > count // 2 and i % 4 == 0:
+            yield from _mark(rng, start, world, marked_us, i)
         world.go(world.ticks + rng.randrange(delay_us) + least_us[1] + least_us[1] // 2000 + 1)
         echo = ((start + now) % WRAP, world.host_us() + 1)
         assert left + period_us > world.ticks
     for pause in (100_000, 900_000, 1_000_000, 1_000_000):
         world.go(world.ticks + pause)
         yield line("sync-steer", count_us=(start + world.ticks) % WRAP, may_step=0)
+
+
+def _mark(rng: Random, start: int, world: _World, width_us: int, number: int) -> Iterator[str]:
+    """An instant that the board dates; then what all agree on; now and then, what cannot be."""
+    at = (start + world.ticks) % WRAP
+    truth_us = world.host_us()
+    before_us = rng.randrange(width_us + 1)
+    yield line("sync-date", mark_number=number, at_us=at)
+    world.go(world.ticks + 1 + rng.randrange(300))
+    now = (start + world.ticks) % WRAP
+    mark = {"mark_width_us": width_us + 1, "mark_least_us": truth_us - before_us}
+    yield line("sync-mark", **mark, at_us=at, count_us=now)
+    if number % 3 == 0:
+        for lie_us in (90_000, -90_000, (1 << 45), -(1 << 45)):
+            wrong = {"mark_width_us": 9, "mark_least_us": truth_us + lie_us}
+            yield line("sync-mark", **wrong, at_us=at, count_us=now)
+
+
+OPEN = (1 << 31) - 1
+
+
+def _ask(
+    rng: Random, start: int, world: _World, error_us: int, lineage: int, settled: int,
+    may_step: int, lie_us: int = 0, known_ns: tuple[int, int] = (-2000, 2000), least_us: int = 0,
+    delay_us: int = 300,
+) -> Iterator[str]:  # fmt: skip
+    """A request to a neighbour and its response; its clock is `error_us` ahead of the truth."""
+    asked = world.ticks
+
+    def shows() -> int:
+        return world.host_us() + error_us + lie_us
+
+    def travel() -> None:
+        least = least_us + least_us // 2000 + 1
+        world.go(world.ticks + least + rng.randrange(delay_us))
+
+    travel()
+    received_us = shows() + 1
+    world.go(world.ticks + rng.randrange(100))
+    sent_us = shows()
+    travel()
+    arrived = world.ticks
+    world.go(world.ticks + rng.randrange(200))
+    now = (start + world.ticks) % WRAP
+    errors = (error_us * 1000 + known_ns[0], error_us * 1000 + known_ns[1])
+    yield line(
+        "sync-hear", echo_us=(start + asked) % WRAP, received_us=received_us, sent_us=sent_us,
+        arrived_us=(start + arrived) % WRAP, count_us=now, may_step=may_step,
+        peer_least_us=least_us, least_error_ns=errors[0], most_error_ns=errors[1],
+        lineage=lineage, settled=settled,
+    )  # fmt: skip
+    yield line("sync-steer", count_us=now, may_step=may_step)
+
+
+DAY_US = 86_400_000_000
+
+
+def among(rng: Random) -> Iterator[str]:
+    """Own time, and whom it is left for; neighbours that know it badly, lie, or are of others."""
+    rows = (
+        (0, DAY_US, 39, 0, 40), (0, DAY_US, 41, 0, 4), (0, -DAY_US, 41, 0, 4),
+        (0, -DAY_US, 39, 1, 50), (0, 0, 41, 0, 8), (0, 0, 39, 0, 8),
+        (2_000_000, DAY_US, 41, 1, 4), (2_000_000, DAY_US, 41, 0, 4),
+    )  # fmt: skip
+    for start, method, drift, some in (
+        (0, 0, 150, rows), (WRAP - 700_000, 0, 300, rows[:1]), (9, 1, 50, rows[:1]),
+    ):  # fmt: skip
+        for own_wait, offset_us, lineage, settled, rounds in some:
+            given = USUAL | {"among_boards": 1, "id": 40, "drift_ppm": drift, "method": method}
+            yield line("sync", **given, count_us=start)
+            yield line("sync-steer", count_us=start, may_step=1)
+            world = _World(rng, drift * PPM - 9, 1000 * PPB_S, 0)
+            world.epoch = offset_us
+            while world.ticks < own_wait:
+                world.go(world.ticks + 500_000)
+                yield line("sync-steer", count_us=(start + world.ticks) % WRAP, may_step=0)
+            for i in range(rounds + 5):
+                world.go(world.ticks + 30_000)
+                error_us, early = rng.randrange(-50, 50), i < 5
+                may_step, of = int(0 < i < 5), settled if early else 1
+                yield from _ask(rng, start, world, error_us, lineage, of, may_step)
+            for lie_us in (DAY_US, -DAY_US, 60_000, -60_000, 1 << 45, -(1 << 45)):
+                yield from _ask(rng, start, world, 0, lineage, 1, 0, lie_us)
+            yield from _ask(rng, start, world, 0, 77, 1, 0)
+            for open_ns in ((-OPEN, OPEN), (-OPEN, 5), (-5, OPEN), (-OPEN + 1, OPEN - 1)):
+                yield from _ask(rng, start, world, 0, lineage, 1, 0, known_ns=open_ns)
+            yield from _ask(rng, start, world, 0, 40, 1, 0)  # its own number comes back
+            yield from _ask(rng, start, world, 0, 77, 0, 1, lie_us=9 * DAY_US)
+
+
+def hops(rng: Random) -> Iterator[str]:
+    """No time of boards: what the host's board says counts, whoever hears it."""
+    for start, least_us, error_us in ((0, 0, 30), (WRAP - 300_000, 1500, -700)):
+        yield line("sync", **USUAL | {"id": 40}, count_us=start)
+        yield line("sync-steer", count_us=start, may_step=1)
+        world = _World(rng, 150 * PPM - 9, 1000 * PPB_S, 0)
+        for i in range(60):
+            world.go(world.ticks + 30_000)
+            known = (-error_us * i, abs(error_us) * 9)
+            known = (min(known[0], 0), known[1])
+            yield from _ask(rng, start, world, error_us, 0, int(i > 9), int(i < 40), 0, known,
+                            least_us)  # fmt: skip
 
 
 def steering(rng: Random) -> Iterator[str]:
@@ -141,6 +256,14 @@ def steering(rng: Random) -> Iterator[str]:
                      wander_ppb_s=60_000, limit_us=5000)  # fmt: skip
     yield from _talk(rng, 7, 100, 16_384, 500, honest, (2000, 1500), limit_us=300)
     yield from _talk(rng, HALF - 800_000, 120, 16_384, 1000, honest, method=1, limit_us=1200)
+    for marked_us in (0, 40):
+        yield from _talk(rng, 5, 100, 16_384, 1000, honest, marked_us=marked_us)
+    yield from _talk(rng, 5, 100, 16_384, 1000, honest, marked_us=9, method=1, limit_us=1200)
+    yield line("sync", **USUAL, count_us=1)
+    yield line("sync-date", mark_number=9, at_us=1)
+    yield line("sync-mark", mark_width_us=9, mark_least_us=9, at_us=1, count_us=1)
+    yield from among(rng)
+    yield from hops(rng)
     far = (0, 86_400_000_000, -86_400_000_000, 1 << 45, -(1 << 45), 5000, -5000)
     yield from _talk(rng, WRAP - 5, 120, 16_384, 1000, far)
     yield from _talk(rng, 11, 120, 16_384, 1000, far, method=1, limit_us=1200)
@@ -148,7 +271,7 @@ def steering(rng: Random) -> Iterator[str]:
         yield line("sync", **USUAL, count_us=1)
         for received_us, sent_us in ((0, wild), (-wild, 5), (wild, wild), (0, -wild), (5, wild)):
             stamps = {"echo_us": 1, "received_us": received_us, "sent_us": sent_us}
-            yield line("sync-take", **stamps, arrived_us=10, count_us=12)
+            yield line("sync-take", **stamps, arrived_us=10, count_us=12, may_step=1)
             yield line("sync-steer", count_us=12, may_step=1)
 
 

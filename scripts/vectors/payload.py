@@ -250,7 +250,8 @@ def _hostile_points(rng: Random) -> Iterator[str]:
 STATUS = (
     ("sent_count_us", 4), ("least_error_ns", 4), ("most_error_ns", 4), ("rate_q32", 4),
     ("heard_us", 8), ("heard_age_us", 4), ("mark_number", 2), ("mark_width_us", 2),
-    ("mark_least_us", 8), ("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2), ("command_number", 4),
+    ("mark_least_us", 8), ("state", 1), ("refusal", 1), ("flags", 1), ("epoch", 2),
+    ("command_number", 4),
     ("command_result", 1), ("holding_tq", 4), ("fault_reason", 1), ("fault_state", 1),
     ("fault_boots", 4), ("fault_time_us", 8), ("fault_value", 4), ("fault_limit", 4),
     ("fault_position_pq", 4), ("fault_torque_tq", 4), ("plan_seen", 4), ("plan_accepted", 4),
@@ -306,7 +307,22 @@ def statuses(rng: Random) -> Iterator[str]:
         yield line("status-decode", payload=payload)
         if count == 2:
             whole = len(payload)
-            for size in (0, 7, 8, 35, 36, 37, 38, 39, 40, 47, 48, 52, 95, *range(whole - 5, whole + 2)):
+            for size in (
+                0,
+                7,
+                8,
+                35,
+                36,
+                37,
+                38,
+                39,
+                40,
+                47,
+                48,
+                52,
+                95,
+                *range(whole - 5, whole + 2),
+            ):
                 yield line("status-encode", sent_us=sent_us, **given, capacity=size)
                 yield line("status-decode", payload=(payload + b"\0")[:size])
     for name, size in STATUS:  # each field by itself

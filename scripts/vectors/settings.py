@@ -12,7 +12,8 @@ SINKS = ("position", "torque", "kp", "ki", "kd")
 TOP, LOW = (1 << 31) - 1, -(1 << 31)
 ONE: list[int] = [1, 0]
 USUAL: dict[str, Value] = {
-    "name": b"elbow", "key": bytes(range(16)), "peer_key": bytes(range(16, 32)), "knot_shift": 12, "servo_period_us": 256,
+    "name": b"elbow", "key": bytes(range(16)), "peer_key": bytes(range(16, 32)),
+    "knot_shift": 12, "servo_period_us": 256,
     "sample_every": 4, "brake_periods": 200, "stop_us": 500_000, "sync_lost_us": 2_000_000,
     "dither_us": 1234,
     "torque_step_tq": 300, "offset_count": -77, "carries_gravity": 0, "torque_limit_tq": 1 << 22,
@@ -23,7 +24,8 @@ USUAL: dict[str, Value] = {
     "supply_max_mV": 30_000, "chopper_mV": 28_000, "late_us": 400, "home_method": 1,
     "home_backwards": 0, "home_mark_count": -5, "home_speed_q16": 70_000,
     "home_acceleration_q16": 500, "home_torque_tq": 1 << 20, "home_way_counts": 9000,
-    "home_still_periods": 50, "sync_method": 1, "among_boards": 0, "drift_ppm": 250, "wander_ppb_s": 1500,
+    "home_still_periods": 50, "sync_method": 1, "among_boards": 0, "drift_ppm": 250,
+    "wander_ppb_s": 1500,
     "to_device_least_us": 2000, "to_host_least_us": 1999, "limit_us": 70_000,
     "interval_us": 80_000, "phase_gain": 4295, "skew_gain_q8": 11_000,
     "neighbours": 6, "ask_us": 20_000, "peer_least_us": 300,
@@ -86,7 +88,12 @@ def encoded(values: dict[str, Value], with_key: bool) -> bytes:
     policies = values["gap_policy"]
     assert isinstance(name, bytes) and isinstance(key, bytes) and isinstance(peer_key, bytes)
     assert isinstance(policies, list)
-    out = b"\2" + (key + peer_key if with_key else b"") + name.ljust(26, b"\0") + _numbers(values, HEAD)
+    out = (
+        b"\2"
+        + (key + peer_key if with_key else b"")
+        + name.ljust(26, b"\0")
+        + _numbers(values, HEAD)
+    )
     out += bytes(policies)
     for sink in SINKS:
         limits = values.get(sink, [0] * 6)

@@ -62,6 +62,19 @@ static void replay_bounds_prove(void) {
     say_bounds();
 }
 
+// Both bounds at other ticks, and the skew: its middle, and what is nearest to a value.
+static void replay_bounds_at(void) {
+    int64_t ticks_us = given("ticks_us");
+    say_number("lower_q16", bounds_lower_at_q16(&bounds, &limits, ticks_us));
+    say_number("upper_q16", bounds_upper_at_q16(&bounds, &limits, ticks_us));
+}
+
+static void replay_bounds_nearest(void) {
+    say_number("middle_q16", bounds_middle_q16(&bounds));
+    say_number("skew_q32", bounds_skew_q32(&bounds));
+    say_number("nearest_q32", bounds_nearest_skew_q32(&bounds, (int32_t)given("skew_q32")));
+}
+
 static struct sync_settings settings;
 static struct headway_clock clock;
 static struct sync sync_state;
@@ -69,6 +82,7 @@ static struct sync sync_state;
 static void replay_sync(void) {
     settings = (struct sync_settings){
         .method = (uint8_t)given("method"),
+        .among_boards = given("among_boards") != 0,
         .drift_ppm = (uint16_t)given("drift_ppm"),
         .wander_ppb_s = (uint16_t)given("wander_ppb_s"),
         .to_device_least_us = (uint32_t)given("to_device_least_us"),
@@ -78,16 +92,53 @@ static void replay_sync(void) {
                     (uint16_t)given("skew_gain_q8")},
     };
     clock = (struct headway_clock){.count_us = (uint32_t)given("count_us")};
+    sync_state = (struct sync){.id = (uint32_t)given("id")};
     sync_restart(&sync_state);
 }
 
-static void replay_sync_take(void) {
+static void take(const struct sync_source *source) {
     struct stamps stamps = {.echo_us = (uint32_t)given("echo_us"),
                             .received_us = given("received_us"),
                             .sent_us = given("sent_us")};
+    uint32_t before = sync_state.excluded;
+    bool taken =
+        sync_take(&sync_state, &settings, &clock, source, &stamps, (uint32_t)given("arrived_us"),
+                  (uint32_t)given("count_us"), given("may_step") != 0);
+    say(taken ? "taken" : sync_state.excluded == before ? "ignored" : "excluded");
+    say_number("excluded", sync_state.excluded);
+    say_number("outcast", sync_state.outcast);
+    say_number("lineage", sync_state.lineage);
+}
+
+static void replay_sync_take(void) {
     struct sync_source host = sync_host(&settings);
-    bool taken = sync_take(&sync_state, &settings, &clock, &host, &stamps,
-                           (uint32_t)given("arrived_us"), (uint32_t)given("count_us"), true);
+    take(&host);
+}
+
+// Of a neighbour.
+static void replay_sync_hear(void) {
+    struct sync_source source = {
+        .to_here_least_us = (uint32_t)given("peer_least_us"),
+        .to_there_least_us = (uint32_t)given("peer_least_us"),
+        .least_error_ns = (int32_t)given("least_error_ns"),
+        .most_error_ns = (int32_t)given("most_error_ns"),
+        .lineage = {(uint32_t)given("lineage"), given("settled") != 0},
+    };
+    take(&source);
+}
+
+static void replay_sync_date(void) {
+    struct mark mark = sync_date(&sync_state, &settings, &clock, (uint16_t)given("mark_number"),
+                                 (uint32_t)given("at_us"));
+    say_number("mark_number", mark.number);
+    say_number("mark_width_us", mark.width_us);
+    say_number("mark_least_us", mark.least_us);
+}
+
+static void replay_sync_mark(void) {
+    struct mark mark = {0, (uint16_t)given("mark_width_us"), given("mark_least_us")};
+    bool taken = sync_take_mark(&sync_state, &settings, &clock, &mark, (uint32_t)given("at_us"),
+                                (uint32_t)given("count_us"));
     say(taken ? "taken" : "excluded");
     say_number("excluded", sync_state.excluded);
     say_number("outcast", sync_state.outcast);
@@ -102,6 +153,7 @@ static void replay_sync_steer(void) {
     say_number("most_error_ns", sync_state.most_error_ns);
     say_number("settled", sync_state.settled);
     say_number("stepped", stepped);
+    say_number("lineage", sync_state.lineage);
 }
 
 static struct average average;
@@ -132,8 +184,13 @@ const struct word clock_words[] = {
     {"bounds-clear", replay_bounds_clear},
     {"bounds-advance", replay_bounds_advance},
     {"bounds-prove", replay_bounds_prove},
+    {"bounds-at", replay_bounds_at},
+    {"bounds-nearest", replay_bounds_nearest},
     {"sync", replay_sync},
     {"sync-take", replay_sync_take},
+    {"sync-hear", replay_sync_hear},
+    {"sync-date", replay_sync_date},
+    {"sync-mark", replay_sync_mark},
     {"sync-steer", replay_sync_steer},
     {"average", replay_average},
     {"average-take", replay_average_take},
