@@ -117,7 +117,8 @@ static void follow_sync(struct device *device, uint32_t count_us) {
     struct breach wide = {REASON_CLOCK, sync_error_us(sync),
                           (int32_t)device->settings.sync.limit_us};
     bool resting = device->state == DEVICE_UNSYNCED || device->state == DEVICE_IDLE;
-    if (resting && sync->outcast >= SYNC_OUTCAST) { // not one sample is wrong, but what is known
+    bool wrong = sync->outcast >= SYNC_OUTCAST || sync->doubtful;
+    if (resting && wrong) { // not one sample is wrong, but what is known
         sync_restart(&device->sync);
         happen(device, EVENT_SYNC_LOST);
     } else if (sync->settled && alone_us <= device->settings.sync_lost_us) {
@@ -149,6 +150,7 @@ static void follow(struct device *device, const struct board *board, uint32_t co
 // step with a bus, and then each status would wait for its turn there as long as any other.
 void device_report(struct device *device, struct board *board) {
     uint32_t count_us = board_count_us(board);
+    neighbours_speak(device, board);
     if (!device->status_waits || (int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
@@ -168,12 +170,11 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     heed_guard(device, count_us);
     drive(device, board, time_us, count_us);
     admit_advance(device, count_us);
-    neighbours_ask(device, board, count_us);
     if (device_knot_at(device, time_us) != device->status_knot) {
         device->status_knot = device_knot_at(device, time_us);
         device->status_waits = true;
         device->status_us = count_us;
-        if (device->status_knot % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
+        if (++device->reports % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
             device->status_us += (uint32_t)(board_random(board) % device->settings.dither_us);
     }
     device_report(device, board);

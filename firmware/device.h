@@ -56,7 +56,8 @@ struct device {
     uint32_t next_servo_us; // local count of the next servo period
     uint32_t periods;
     int64_t status_knot;   // knot of the last status
-    bool status_waits;     // it has not left yet ...
+    uint32_t reports;      // statuses so far
+    bool status_waits;     // the last one has not left yet ...
     uint32_t status_us;    // ... and does at this count
     int64_t accepted_knot; // knot in which the last plan was accepted
     int64_t start_knot;    // of the first plan
@@ -84,8 +85,8 @@ void device_configure(struct device *device, const struct device_settings *setti
 // from an interrupt, comes device_guard (guard.h).
 void device_poll(struct device *device, struct board *board);
 
-// Sends a status that waits for its moment. device_poll does so as well; in between it may be called
-// as often as a board likes.
+// Sends what waits for its moment: a status, questions to neighbours and answers. device_poll does so
+// as well; in between it may be called as often as a board likes.
 void device_report(struct device *device, struct board *board);
 
 // The axis' position, from the encoder's last count and the offset.

@@ -1,8 +1,13 @@
 #include "neighbours.h"
 #include "cobs.h" // packets on the byte stream
 #include "device.h"
+#include "fixed.h" // clamp
 #include "peer.h"
 
+_Static_assert(BOARD_PORTS <= SYNC_SOURCES, "each port is a source of its own");
+
+#define BLUR_PPM 800 // a clock is slewed by 500 ppm at most, a reference drifts by 300 against it
+#define BLUR_MAX_US 1000000
 // The count is rounded down, and so is the time at it. A time that is too early proves less of what
 // was sent, and more of what was received.
 #define ROUNDED_US 1
@@ -12,13 +17,13 @@ static void send(struct board *board, int32_t port, const uint8_t *frame, int32_
     board_send(board, port, packet, cobs_encode(frame, size, packet));
 }
 
-void neighbours_ask(struct device *device, struct board *board, uint32_t count_us) {
+static void ask(struct device *device, struct board *board) {
     struct neighbours *neighbours = &device->neighbours;
     const struct device_settings *settings = &device->settings;
-    if (settings->neighbours == 0 || count_us - neighbours->asked_us < neighbours->pause_us)
+    uint32_t count_us = board_count_us(board), quarter_us = settings->ask_us / 4;
+    if (count_us - neighbours->asked_us < neighbours->pause_us)
         return;
     uint64_t random = board_random(board);
-    uint32_t quarter_us = settings->ask_us / 4;
     neighbours->asked_us = count_us;
     neighbours->pause_us =
         settings->ask_us - quarter_us + (uint32_t)(((random & 0xffff) * 2 * quarter_us) >> 16);
@@ -35,21 +40,58 @@ void neighbours_ask(struct device *device, struct board *board, uint32_t count_u
     }
 }
 
-static void answer(struct device *device, struct board *board, uint64_t nonce, int32_t port,
-                   uint32_t arrived_us) {
+// The interval is the last servo period's, and the clock has gone on since, and since the request
+// arrived, by another rate than the reference. A reference's own error is none.
+static void widen(struct peer_response *response, int64_t elapsed_us) {
+    int32_t blur_ns = 1 + (int32_t)(fixed_clamp64(elapsed_us, BLUR_MAX_US) * BLUR_PPM / 1000);
+    if (response->least_error_ns > -SYNC_ERROR_OPEN + blur_ns)
+        response->least_error_ns -= blur_ns;
+    if (response->most_error_ns < SYNC_ERROR_OPEN - blur_ns)
+        response->most_error_ns += blur_ns;
+}
+
+static void answer(struct device *device, struct board *board, int32_t port) {
     const struct sync *sync = &device->sync;
+    struct demand *demand = &device->neighbours.demands[port];
+    uint32_t count_us = board_count_us(board);
+    if (!demand->open || (int32_t)(count_us - demand->answered_us) < 0)
+        return;
+    demand->open = false;
     struct peer_response response = {
-        .nonce = nonce,
-        .received_us = clock_at(&device->clock, arrived_us) + ROUNDED_US,
-        .sent_us = clock_at(&device->clock, board_count_us(board)),
+        .nonce = demand->nonce,
+        .received_us = demand->received_us,
+        .sent_us = clock_at(&device->clock, count_us),
         .least_error_ns = sync->least_error_ns,
         .most_error_ns = sync->most_error_ns,
         .lineage = sync->lineage,
         .settled = sync->settled,
     };
+    uint32_t asked_us = count_us - demand->arrived_us, ran_us = count_us - device->clock.count_us;
+    if (!sync_is_reference(sync))
+        widen(&response, asked_us > ran_us ? asked_us : ran_us);
     uint8_t frame[PEER_RESPONSE_BYTES];
     peer_response_encode(device->settings.peer_key, &response, frame);
     send(board, port, frame, sizeof frame);
+}
+
+static void keep(struct device *device, struct board *board, int32_t port, uint64_t nonce,
+                 uint32_t arrived_us) {
+    uint32_t dither_us = device->settings.dither_us;
+    uint32_t wait_us = dither_us == 0 ? 0 : (uint32_t)(board_random(board) % dither_us);
+    struct demand demand = {.open = true,
+                            .nonce = nonce,
+                            .arrived_us = arrived_us,
+                            .received_us = clock_at(&device->clock, arrived_us) + ROUNDED_US,
+                            .answered_us = board_count_us(board) + wait_us};
+    device->neighbours.demands[port] = demand;
+}
+
+void neighbours_speak(struct device *device, struct board *board) {
+    if (device->settings.neighbours == 0)
+        return;
+    ask(device, board);
+    for (int32_t port = BOARD_HOST + 1; port < BOARD_PORTS; port++)
+        answer(device, board, port);
 }
 
 bool neighbours_take(struct device *device, struct board *board, const uint8_t *frame, int32_t size,
@@ -61,7 +103,7 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
     if (!(settings->neighbours & 1 << port))
         return false;
     if (peer_request_decode(settings->peer_key, frame, size, &nonce)) {
-        answer(device, board, nonce, port, arrived_us);
+        keep(device, board, port, nonce, arrived_us);
         return true;
     }
     if (!peer_response_decode(settings->peer_key, frame, size, &response) || !question->open ||
@@ -71,7 +113,8 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
     struct stamps stamps = {.echo_us = question->sent_us,
                             .received_us = response.received_us,
                             .sent_us = response.sent_us};
-    struct sync_source source = {.to_here_least_us = settings->peer_least_us,
+    struct sync_source source = {.number = (uint8_t)port,
+                                 .to_here_least_us = settings->peer_least_us,
                                  .to_there_least_us = settings->peer_least_us,
                                  .least_error_ns = response.least_error_ns,
                                  .most_error_ns = response.most_error_ns,

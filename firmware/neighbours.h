@@ -15,17 +15,28 @@ struct question {
     uint32_t sent_us; // count
 };
 
+// What a neighbour asked last, and has no answer yet.
+struct demand {
+    bool open;
+    uint64_t nonce;
+    uint32_t arrived_us;  // count ...
+    int64_t received_us;  // ... and system time
+    uint32_t answered_us; // count from which on it is answered
+};
+
 struct neighbours {
     uint32_t asked_us; // count of the last round
     uint32_t pause_us; // until the next
     struct question questions[BOARD_PORTS];
+    struct demand demands[BOARD_PORTS];
 };
 
-// Asks all ports that the settings name, once an interval. The pauses differ at random by up to a
-// quarter, so that they do not stay in step with anything on the way.
-void neighbours_ask(struct device *device, struct board *board, uint32_t count_us);
+// Asks all ports that the settings name, once an interval, and answers what they have asked. Pauses
+// differ at random by up to a quarter, and an answer waits at random for up to the settings'
+// `dither_us`: neither keeps step with anything on the way. To be called as often as may be.
+void neighbours_speak(struct device *device, struct board *board);
 
-// What came from a neighbour: answers a request, takes the stamps of a response.
+// What came from a neighbour: keeps a request, takes the stamps of a response.
 bool neighbours_take(struct device *device, struct board *board, const uint8_t *frame, int32_t size,
                      int32_t port, uint32_t arrived_us, uint32_t count_us);
 

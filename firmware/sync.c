@@ -43,8 +43,7 @@ static void begin(struct sync *sync, const struct sync_settings *settings,
     bounds_clear(&sync->bounds, &limits, base_us, clock->ticks_us);
 }
 
-// Whether the time is its own: nobody is followed.
-static bool is_reference(const struct sync *sync) {
+bool sync_is_reference(const struct sync *sync) {
     return sync->id != 0 && sync->lineage == sync->id;
 }
 
@@ -83,6 +82,17 @@ static bool is_near(int64_t offset_us) {
     return offset_us <= OFFSET_MAX_US && offset_us >= -OFFSET_MAX_US;
 }
 
+// Both proofs or none; there may be no upper one.
+static bool prove_both(struct bounds *bounds, const struct bounds_limits *limits,
+                       struct bounds_line lower, const struct bounds_line *upper) {
+    struct bounds before = *bounds;
+    if (bounds_prove(bounds, limits, false, lower.value_q16, lower.ticks_us) &&
+        (!upper || bounds_prove(bounds, limits, true, upper->value_q16, upper->ticks_us)))
+        return true;
+    *bounds = before;
+    return false;
+}
+
 // What the other clock shows as s was at s minus its error.
 static bool prove(struct sync *sync, const struct bounds_limits *limits,
                   const struct headway_clock *clock, const struct sync_source *source,
@@ -96,9 +106,11 @@ static bool prove(struct sync *sync, const struct bounds_limits *limits,
     int64_t most_q16 = (int64_t)source->most_error_ns * (1 << 16) / 1000 + 1; // rounded away
     int64_t least_q16 = (int64_t)source->least_error_ns * (1 << 16) / 1000 - 1;
     bool echoes = stamps->received_us != 0 && echo <= arrived;
-    return is_near(lower_us) && (!echoes || is_near(upper_us)) &&
-           bounds_prove(bounds, limits, false, lower_us * (1 << 16) - most_q16, arrived) &&
-           (!echoes || bounds_prove(bounds, limits, true, upper_us * (1 << 16) - least_q16, echo));
+    if (!is_near(lower_us) || (echoes && !is_near(upper_us)))
+        return false;
+    struct bounds_line lower = {lower_us * (1 << 16) - most_q16, arrived};
+    struct bounds_line upper = {echoes ? upper_us * (1 << 16) - least_q16 : 0, echo};
+    return prove_both(bounds, limits, lower, echoes ? &upper : 0);
 }
 
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
@@ -109,15 +121,19 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
         return false; // it does not know the time itself
     if (may_step)
         join(sync, settings, clock, source, stamps, arrived_us);
-    if (!sync->begun || is_reference(sync))
+    if (!sync->begun || sync_is_reference(sync))
         return false;
     bool same = !settings->among_boards || source->lineage.id == sync->lineage;
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    uint16_t *doubt = &sync->doubt[source->number];
+    sync->heard |= (uint8_t)(1 << source->number);
     if (!same || !prove(sync, &limits, clock, source, stamps, arrived_us)) {
+        *doubt = *doubt > SYNC_DOUBT_MAX ? *doubt : (uint16_t)(*doubt + SYNC_DOUBT_STEP);
         sync->excluded++;
         sync->outcast++;
         return false;
     }
+    *doubt -= *doubt > 0;
     sync->outcast = 0;
     sync->heard_us = clock_ticks(clock, now_count_us);
     struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);
@@ -152,16 +168,15 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
     int64_t least_us = mark->least_us - ticks_us - sync->bounds.base_us;
     bool near = is_near(least_us); // else the products would overflow
-    int64_t least_q16 = near ? (least_us - STAMP_US) * (1 << 16) : 0;
-    int64_t most_q16 = near ? (least_us + mark->width_us) * (1 << 16) : 0;
-    if (!near || !bounds_prove(&sync->bounds, &limits, false, least_q16, ticks_us) ||
-        !bounds_prove(&sync->bounds, &limits, true, most_q16, ticks_us)) {
+    struct bounds_line lower = {near ? (least_us - STAMP_US) * (1 << 16) : 0, ticks_us};
+    struct bounds_line upper = {near ? (least_us + mark->width_us) * (1 << 16) : 0, ticks_us};
+    if (!near || !prove_both(&sync->bounds, &limits, lower, &upper)) {
         sync->excluded++;
         return false;
     }
     sync->marked = true;
     sync->mark_us = ticks_us;
-    sync->mark_q16 = (least_q16 + most_q16) / 2;
+    sync->mark_q16 = (lower.value_q16 + upper.value_q16) / 2;
     return true;
 }
 
@@ -223,6 +238,14 @@ static bool follow(struct sync *sync, const struct sync_settings *settings,
     return steps;
 }
 
+// Whether every source that is heard contradicts what is known, again and again.
+static bool doubts_all(const struct sync *sync) {
+    for (int32_t i = 0; i < SYNC_SOURCES; i++)
+        if (sync->heard >> i & 1 && sync->doubt[i] < SYNC_DOUBT_MAX)
+            return false;
+    return sync->heard != 0;
+}
+
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step) {
     struct bounds_limits limits = limits_of(settings);
@@ -232,7 +255,7 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
         return false;
     bool steps = sync->stepped;
     sync->stepped = false;
-    if (is_reference(sync)) {
+    if (sync_is_reference(sync)) {
         sync->heard_us = clock->ticks_us;
         sync->least_error_ns = sync->most_error_ns = 0;
         clock->rate_q32 = 0;
@@ -240,6 +263,11 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
         bounds_advance(&sync->bounds, &limits, clock->ticks_us);
         if (bounds_closed(&sync->bounds))
             steps |= follow(sync, settings, clock, may_step);
+    }
+    sync->doubtful |= doubts_all(sync);
+    if (sync->doubtful) {
+        sync->least_error_ns = -SYNC_ERROR_OPEN;
+        sync->most_error_ns = SYNC_ERROR_OPEN;
     }
     if (sync_error_us(sync) > (int32_t)settings->limit_us)
         sync->wide_us = clock->ticks_us;

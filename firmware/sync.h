@@ -21,8 +21,11 @@
 #define SYNC_DRIFT_MAX_PPM 300
 #define SYNC_WANDER_MAX_PPB_S 60000
 #define SYNC_LIMIT_MAX_US 1000000
-#define SYNC_OUTCAST 64           // samples excluded in a row: then it is us who are wrong
-#define SYNC_MARK_US 200000       // for so long a mark is steered to
+#define SYNC_OUTCAST 64     // samples excluded in a row: then it is us who are wrong
+#define SYNC_MARK_US 200000 // for so long a mark is steered to
+#define SYNC_SOURCES 5
+#define SYNC_DOUBT_STEP 64        // of doubt, for a sample that was excluded; 1 less for one taken
+#define SYNC_DOUBT_MAX 1024       // then that source, or what is known, is wrong
 #define SYNC_ERROR_OPEN INT32_MAX // of an error: not known
 
 enum sync_method {
@@ -44,6 +47,7 @@ struct sync_settings {
 
 // Where a sample is from.
 struct sync_source {
+    uint8_t number;                               // below SYNC_SOURCES; the host's is 0
     uint32_t to_here_least_us, to_there_least_us; // least delays
     int32_t least_error_ns, most_error_ns;        // of its clock; of the host's both are 0
     struct lineage lineage;                       // not looked at of the host's
@@ -52,11 +56,14 @@ struct sync_source {
 struct sync {
     bool begun; // there is a base
     bool settled;
+    bool doubtful;     // all that is heard contradicts what is known: nothing is, until a restart
     bool stepped;      // the first sample set the clock
     int64_t wide_us;   // ticks when the error was last not known to be within the limit
     int64_t heard_us;  // ticks of the last sample that was taken
     uint32_t excluded; // samples that contradicted the set, ever
     uint32_t outcast;  // and in a row
+    uint8_t heard;     // bit n: source n has been heard
+    uint16_t doubt[SYNC_SOURCES]; // of each: more with each sample excluded, less with each taken
     int32_t least_error_ns, most_error_ns; // own clock minus the other one; at the ends: unknown
     uint32_t id;                           // of this board; 0: it is none among boards
     uint32_t lineage;                      // whose time it is, among boards
@@ -93,6 +100,9 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
 // or by a first sample.
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
+
+// Whether the time is its own: nobody is followed.
+bool sync_is_reference(const struct sync *sync);
 
 // The error's bound, either way, in us; SYNC_ERROR_OPEN: none.
 int32_t sync_error_us(const struct sync *sync);

@@ -112,7 +112,8 @@ class Node:
 
     @property
     def error_ns(self) -> tuple[int, int]:
-        """Its clock minus the reference lies between them, by what it knows."""
+        """What its clock is ahead by, at least and at most, as it told itself in its last servo
+        period; +-(2^31 - 1): not known."""
 
     @property
     def true_us(self) -> int: ...

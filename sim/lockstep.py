@@ -20,80 +20,14 @@ from headway.controller.estimator import Sample
 from headway.controller.loop import Loop
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
-from headway.controller.reference import Sines
 from headway.controller.tick import DeviceError, Phase
-from headway.devices.axis import TURN
-from headway.devices.bus import Bus as Marks
-from headway.devices.core import COAST_KNOTS
-from headway.devices.remote import Remote
-from headway.devices.session import Session
-from headway.devices.settings import device_settings
 from headway.firmware import _core
 from headway.models.machine import load_machine
-from headway.sim.bus import Bus
 from headway.sim.mishaps import Mishaps
-from headway.sim.network import Mailbox, Wire
-from headway.sim.plant import Plant, start_of
-from headway.sim.profiles import profile_of
+from headway.sim.world import World
 
 TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
-
-
-class SimLink:
-    """The simulated network as the loop sees it, and the host's clock."""
-
-    def __init__(
-        self, config: Config, plant: Plant, epoch_us: int, seeds: list[np.random.Generator]
-    ):
-        """`epoch_us`: the host's time at true time 0; `seeds`: two for each board, and one."""
-        n = len(plant.nodes)
-        self._cut: set[int] = set()
-        self._plant, self._mailbox = plant, Mailbox()
-        self.epoch_us = epoch_us
-        self._stamped: list[tuple[int, int, bytes]] = []  # arrived before the clock jumped
-        to_device, to_host = profile_of(config.sim)
-        frame_us = to_device.frame_us or to_host.frame_us
-        self.bus = Bus.of(frame_us, seeds[2 * n]) if frame_us else None
-        self.to_device = [Wire(to_device, rng, self.bus) for rng in seeds[:n]]
-        self.to_host = [Wire(to_host, rng, self.bus) for rng in seeds[n : 2 * n]]
-
-    def count_anew(self) -> None:
-        """From here on, frames are counted from zero."""
-        for wire in (*self.to_device, *self.to_host):
-            wire.sent = wire.lost = wire.duplicated = 0
-
-    def cut(self, devices: set[int]) -> None:
-        """No packet passes to or from these devices."""
-        self._cut = devices
-
-    def step_clock(self, true_us: int, step_us: int) -> None:
-        """The host's clock jumps at a true time. What has arrived by then keeps its stamp."""
-        self.collect()
-        self._stamped = self.receive(true_us + self.epoch_us)
-        self.epoch_us += step_us
-
-    def collect(self) -> None:
-        """Puts what the devices have sent on its way to the host."""
-        for device, node in enumerate(self._plant.nodes):
-            for sent_us, packet in node.collect():
-                for arrival_us in self.to_host[device].carry(sent_us, len(packet)):
-                    if device not in self._cut:
-                        self._mailbox.put(arrival_us, device, packet)
-
-    def receive(self, now_us: int) -> list[tuple[int, int, bytes]]:
-        """(device, received_us, packet) of all that has arrived, in the host's time."""
-        arrived = self._mailbox.take(now_us - self.epoch_us)
-        stamped, self._stamped = self._stamped, []
-        return stamped + [
-            (device, at_us + self.epoch_us, packet) for device, at_us, packet in arrived
-        ]
-
-    def send(self, device: int, packet: bytes, now_us: int) -> None:
-        """Sends a packet at a time of the host's."""
-        for arrival_us in self.to_device[device].carry(now_us - self.epoch_us, len(packet)):
-            if device not in self._cut:
-                self._plant.nodes[device].deliver(arrival_us, packet)
 
 
 class Lockstep:
@@ -104,81 +38,19 @@ class Lockstep:
 
         Raises ValueError for mistakes.
         """
-        self.config = config
-        path = (folder / config.machine.model).resolve()
-        n = len(config.machine.axes)
-        root = np.random.SeedSequence(config.seed)
-        seeds = root.spawn(4 + 2 * n)
-        world, outliers, *wires, nonces, clocks = (np.random.default_rng(s) for s in seeds)
-        self._outlier_rng = outliers
-        reference = Sines(config.task)
-        start = start_of(config, reference)
-        period_us = config.device.servo_period_us
-        self.plant = Plant(path, config.machine, config.sim.plant, period_us, start)
-        self.link = SimLink(
-            config, self.plant, int(world.integers(10**15, 2 * 10**15)), [*wires, clocks]
-        )
-        self._marks = Marks(n) if config.sync.one_bus else None
-        remotes = [self._power_up(device, world, nonces, clocks) for device in range(n)]
-        self.remotes = remotes
-        self.reference = reference
+        world = World(config, folder)
+        self.config, self.plant, self.link = config, world.plant, world.link
+        self.remotes, self.reference = world.remotes, world.reference
+        self._outlier_rng = world.outliers
         self.record = record or Memory()
-        self.loop = Loop(config, load_machine(path), remotes, reference, self.record)
+        machine = load_machine(world.model)
+        self.loop = Loop(config, machine, self.remotes, self.reference, self.record)
         self.ticks = self.deadline_misses = 0
         self.stopping = False  # set it to end the run early: the last plan brings all to rest
         self._busy_until_us = 0  # true time, as the two below
         self._last_us = 0  # when the tick after the last one would have been due
         self._begun_us: int | None = None  # when the task began
         self._mishaps = Mishaps(config, self.plant, self.link) if config.sim.mishaps else None
-        self.plant.set_bridge(config.sim.bridge_F)
-
-    def _power_up(
-        self,
-        device: int,
-        world: np.random.Generator,
-        nonces: np.random.Generator,
-        wander: np.random.Generator,
-    ) -> Remote:
-        """Flashes a board with its settings, a key and an oscillator of its own."""
-        config = self.config
-        settings = device_settings(
-            config.machine.axes[device], config.device, config.loop, config.sync
-        )
-        settings.key = world.bytes(16)
-        if config.machine.axes[device].homing is not None:
-            self._forget(device, world)
-        clocks, node = config.sim.clocks, self.plant.nodes[device]
-        bound_ppb = round(clocks.drift_ppm * 1000)
-        node.flash(
-            settings,
-            count_offset=int(world.integers(2**32)),
-            drift_ppb=round(world.uniform(-1, 1) * bound_ppb),
-            wander_ppb_per_s=round(clocks.wander_ppm_per_s * 1000),
-            drift_bound_ppb=bound_ppb,
-            oscillator_seed=int(wander.integers(2**63)),
-        )
-        node.random = int(nonces.integers(2**63))
-        if self.link.bus is not None:
-            bus = self.link.bus
-            node.join_bus(bus.phase_ps, bus.period_ps, int(wander.integers(2**63)))
-        patience_us = COAST_KNOTS * config.loop.knot_us
-        return Remote(Session(settings.key, nonces), patience_us, device, self._marks)
-
-    def _forget(self, device: int, world: np.random.Generator) -> None:
-        """An encoder that counts from where it is at power-up; its marks are at their places."""
-        node, axis = self.plant.nodes[device], self.config.machine.axes[device]
-        assert axis.homing is not None
-        turn = round(axis.counts_per_unit * axis.motor.turn)
-        mark = round(axis.homing.mark * axis.counts_per_unit)
-        node.encoder_offset = int(world.integers(-turn, turn))
-        node.index_every, node.index_at = turn, mark
-        beyond = (-(2**31), mark) if axis.homing.backwards else (mark, 2**31 - 1)
-        if axis.continuous:  # a cam over half of each turn
-            around = round(axis.counts_per_unit * TURN)
-            half = -around // 2 if axis.homing.backwards else around // 2
-            beyond = min(mark, mark + half), max(mark, mark + half)
-            node.switch_every = around
-        node.switch_from, node.switch_to = beyond
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:
         """From power-up through the task's duration to rest; after each tick of the task `progress`

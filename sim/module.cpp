@@ -225,8 +225,8 @@ NB_MODULE(_board, m) {
         .def_prop_ro("excluded", [](Node &n) { return n->device.sync.excluded; })
         .def_prop_ro("error_ns",
                      [](Node &n) {
-                         return std::make_tuple(n->device.sync.least_error_ns,
-                                                n->device.sync.most_error_ns);
+                         const struct sync &s = n->device.sync;
+                         return std::make_tuple(s.least_error_ns, s.most_error_ns);
                      })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })

@@ -511,8 +511,9 @@ def test_the_estimate_knows_the_gains() -> None:
     )
     law = ServoLaw.of(lock.config.machine.axes)
     for axis in range(2):
+        config = lock.config
         settings_ = device_settings(
-            lock.config.machine.axes[axis], lock.config.device, lock.config.loop
+            config.machine.axes[axis], config.device, config.loop, config.sync
         )
         for column, sink, gain, more in (
             (axis, core.TRACK_KP, law.kp[axis], 0.0),

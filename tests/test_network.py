@@ -15,7 +15,7 @@ from headway.configs.load import load_config
 from headway.configs.schema import Channel, Config
 from headway.sim import _board
 from headway.sim.bus import Bus
-from headway.sim.lockstep import SimLink
+from headway.sim.link import SimLink
 from headway.sim.network import Mailbox, Wire
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"

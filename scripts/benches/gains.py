@@ -30,7 +30,7 @@ from headway.controller.gains import Schedule
 from headway.controller.mpc import Motion
 from headway.controller.record.columns import Arrays
 from headway.controller.reference import Reference
-from headway.sim import lockstep
+from headway.sim import world
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def bandwidth(experiment: Experiment) -> dict[str, float]:
         overrides.append(f"task.axes.{axis}.amplitude_rad={1 if axis == joint else 0}")
     overrides.append(f"sim.start_rad_or_m=[{posture[0]}, {posture[1]}]")
     # These take the places of the classes of those names.
-    lockstep.Sines, loop.Feedforward = Swing, Held  # type: ignore[attr-defined]
+    world.Sines, loop.Feedforward = Swing, Held  # type: ignore[attr-defined]
     gain_tracks.Schedule = Alone if gains == ALONE else Schedule  # type: ignore[misc]
     simulation = Simulation(load_config(CONFIGS / "arm2.yaml", overrides), CONFIGS)
     simulation.run()

@@ -20,6 +20,7 @@ from headway.cli.init import init
 from headway.cli.report import report
 from headway.cli.run import run
 from headway.cli.sweep import sweep
+from headway.cli.sync import sync
 
 HELP = """Receding-horizon control for machines at the far end of slow, jittery, lossy wires.
 
@@ -44,7 +45,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for command in (init, check, run, report, sweep, export, completion):
+    for command in (init, check, sync, run, report, sweep, export, completion):
         app.command(command)
     return app
 

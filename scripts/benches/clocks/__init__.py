@@ -1,0 +1,1 @@
+"""What scripts/benches/sync.py is made of."""

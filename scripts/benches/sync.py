@@ -1,0 +1,435 @@
+"""How well clocks agree on five networks: the firmware's, and others made of the same stamps.
+
+A star of eight boards around a host, and a chain of five behind one. Each has an oscillator within
+100 ppm that wanders by up to 1 ppm/s; told is a drift of 200 ppm, the same wander, and the
+network's least delays. Frames go 250 times a second each way. Every method that has numbers to
+choose is tuned for each network and topology by the same random search, as often, for the p99.9 of
+the error, on other seeds than those that are judged.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from _report import arguments, finish, goal, table
+from clocks import boards, firmware, tight
+from clocks.exchanges import EPOCH_US, WANDER_PPM_PER_S, Scene, bus_of, hop, scene
+from clocks.rivals import RIVALS
+from clocks.search import search
+from clocks.tally import Tally
+from numpy.typing import NDArray
+
+from headway.cli.simulation import Simulation
+from headway.configs.load import load_config
+from headway.sim.profiles import PROFILES
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+OURS, DOCUMENT, MARKED = "bounds", "mean", "with marks"
+METHODS = (OURS, DOCUMENT, *RIVALS)
+DEVICES = 8
+TUNING, JUDGING, TIGHT, HOLDOVER = range(4)  # which seeds
+CUT_US = (60_000_000, 60_500_000)
+P999_LIMIT_US = {"usb-iid": 15, "lan": 20, "usb": 50}
+# A clock has settled when its error stays within this for a second; of a chain five times as much.
+SETTLED_US = {"usb": 50, "usb-iid": 15, "lan": 20, "wifi": 50, "awful": 100}
+SETTLED_FOR_US = 1_000_000
+STAR, CHAIN = "star of 8", "chain of 5"
+HOLDOVER_LIMIT_US = 50
+
+Array = NDArray[np.float64]
+Tuned = dict[str, dict[str, float]]  # by method
+
+
+class Effort(NamedTuple):
+    """How much is simulated."""
+
+    stars: int  # seeds
+    chains: int
+    duration_us: int
+    skip_us: int  # not judged: settling
+    draws: int
+    star_tuning: tuple[int, int]  # scenes that a draw is judged by, and how long they are [us]
+    chain_tuning: tuple[int, int]
+    instants: int  # a network, for the tightest interval
+    holdovers: int
+    arms: int
+
+
+QUICK = Effort(
+    stars=6, chains=3, duration_us=20_000_000, skip_us=8_000_000, draws=12,
+    star_tuning=(2, 20_000_000), chain_tuning=(1, 12_000_000), instants=12, holdovers=4, arms=3,
+)  # fmt: skip
+LONG = Effort(
+    stars=100, chains=100, duration_us=120_000_000, skip_us=20_000_000, draws=60,
+    star_tuning=(4, 60_000_000), chain_tuning=(2, 40_000_000), instants=100, holdovers=40, arms=10,
+)  # fmt: skip
+
+
+def generator(profile: str, purpose: int, seed: int) -> np.random.Generator:
+    return np.random.default_rng([list(PROFILES).index(profile), purpose, seed])
+
+
+def errors(method: str, seen: Scene, tuned: Tuned) -> Array:
+    """A clock's minus the host's at each servo period [us], (m,)."""
+    if method in RIVALS:
+        make, _ = RIVALS[method]
+        return make(seen.stamps, **tuned[method]).error(seen)
+    kind = firmware.BOUNDS if method == OURS else firmware.AVERAGE
+    settings = firmware.settings_of(kind, seen.stamps.least, tuned.get(method))
+    return firmware.follow(seen, settings).error
+
+
+def tune(job: tuple[str, str, str, Effort]) -> tuple[dict[str, float], float]:
+    """The numbers of a method for a network and topology, and the score that they had."""
+    profile, topology, method, effort = job
+    count, duration_us = effort.star_tuning if topology == STAR else effort.chain_tuning
+    skip_us = min(effort.skip_us, duration_us // 2)
+    scenes = list[Scene]()
+    if topology == STAR:
+        for seed in range(count):
+            rng = generator(profile, TUNING, seed)
+            scenes.append(scene(profile, duration_us, rng, bus_of(profile, rng)))
+
+    def score(numbers: dict[str, float]) -> float:
+        found = Tally()
+        for each in scenes:
+            found.add(errors(method, each, {method: numbers})[each.servo_us > skip_us])
+        for seed in range(count if topology == CHAIN else 0):
+            rng = generator(profile, TUNING, seed)
+            true_us, error, _ = behind(profile, method, numbers, rng, duration_us, TUNED_EVERY_US)
+            found.add(np.abs(error).max(axis=1)[true_us > skip_us])
+        return found.quantile(0.999)
+
+    ranges = firmware.AVERAGE_RANGES if method == DOCUMENT else RIVALS[method][1]
+    return search(score, ranges, effort.draws, np.random.default_rng(0))
+
+
+class Judged:
+    """What came of a method on a network."""
+
+    def __init__(self) -> None:
+        self.error, self.pairs, self.half = Tally(), Tally(), Tally()
+        self.settle_s: list[float] = []  # inf: it has not
+        self.inside = self.outside = self.excluded = 0
+
+    def merge(self, other: Judged) -> None:
+        self.error.merge(other.error)
+        self.pairs.merge(other.pairs)
+        self.half.merge(other.half)
+        self.settle_s += other.settle_s
+        self.inside += other.inside
+        self.outside += other.outside
+        self.excluded += other.excluded
+
+    def take(
+        self, true_us: NDArray[np.int64], error: Array, skip_us: int, settled_us: float
+    ) -> None:
+        """Errors of shape (m,) at times of the same shape."""
+        self.error.add(error[true_us > skip_us])
+        outside = true_us[~(np.abs(error) <= settled_us)]
+        begins = np.append(true_us[0], outside)  # of stretches within the limit
+        lengths = np.diff(np.append(begins, true_us[-1]))
+        long = np.flatnonzero(lengths > SETTLED_FOR_US)
+        self.settle_s.append(float(begins[long[0]]) * 1e-6 if len(long) else float("inf"))
+
+    def take_told(self, least: Array, most: Array, outside: NDArray[np.bool_]) -> None:
+        """Of any one shape: the interval of the error, and where it did not hold."""
+        known = ~np.isnan(most - least)
+        self.half.add((most - least)[known] / 2)
+        self.outside += int(outside.sum())
+        self.inside += int(known.sum() - outside.sum())
+
+
+def star(job: tuple[str, int, Tuned, Effort]) -> dict[str, Judged]:
+    """Boards around a host, on one bus if there is one."""
+    profile, seed, tuned, effort = job
+    rng = generator(profile, JUDGING, seed)
+    bus = bus_of(profile, rng)
+    judged = {method: Judged() for method in METHODS}
+    for _ in range(DEVICES):
+        seen = scene(profile, effort.duration_us, rng, bus)
+        for method in METHODS:
+            if method != OURS:
+                error = errors(method, seen, tuned)
+                judged[method].take(seen.servo_us, error, effort.skip_us, SETTLED_US[profile])
+        settings = firmware.settings_of(firmware.BOUNDS, seen.stamps.least)
+        told, ours = firmware.follow(seen, settings), judged[OURS]
+        ours.take(seen.servo_us, told.error, effort.skip_us, SETTLED_US[profile])
+        late = seen.servo_us > effort.skip_us
+        ours.take_told(told.least[late], told.most[late], told.violations[late])
+        ours.outside += int(told.violations[~late].sum())
+        ours.excluded += told.excluded
+    return judged
+
+
+def row(job: tuple[str, int, Tuned, Effort]) -> dict[str, Judged]:
+    """A chain: at each ms the largest error against the host, and the largest difference between
+    two boards."""
+    profile, seed, tuned, effort = job
+    judged = {method: Judged() for method in METHODS}
+    for method, mine in judged.items():
+        rng = generator(profile, JUDGING, seed)
+        true_us, error, ran = behind(
+            profile, method, tuned.get(method), rng, effort.duration_us, boards.PERIOD_US
+        )
+        late = true_us > effort.skip_us
+        worst = np.abs(error).max(axis=1)
+        mine.take(true_us, worst, effort.skip_us, boards.CHAIN * SETTLED_US[profile])
+        mine.pairs.add(np.ptp(error, axis=1)[late])
+        if ran is not None and method == OURS:
+            mine.take_told(ran.least[late], ran.most[late], ran.violations[late])
+            mine.outside += int(ran.violations[~late].sum())
+            mine.excluded += ran.excluded
+    return judged
+
+
+def behind(
+    profile: str,
+    method: str,
+    numbers: dict[str, float] | None,
+    rng: np.random.Generator,
+    duration_us: int,
+    every_us: int,
+) -> tuple[NDArray[np.int64], Array, boards.Ran | None]:
+    """Times (m,) and errors against the host (m, boards) of a chain. The firmware's boards run it
+    all; of the others' each follows the clock that the one before it has made."""
+    if method not in RIVALS:
+        kind = firmware.BOUNDS if method == OURS else firmware.AVERAGE
+        ran = boards.run(boards.chain(profile, kind, rng, numbers), duration_us, every_us)
+        return ran.true_us, ran.error, ran
+    bus = bus_of(profile, rng)
+    true_us = np.arange(10 * every_us, duration_us - 20 * every_us, every_us)
+    seen = scene(profile, duration_us, rng, bus)
+    columns = []
+    for _ in range(boards.CHAIN):
+        clock = RIVALS[method][0](seen.stamps, **(numbers or {})).shown(seen)
+        columns.append(clock(true_us) - true_us - EPOCH_US)
+        seen = hop(profile, duration_us, boards.ASK_US, rng, bus)(clock)
+    return true_us, np.stack(columns, axis=1), None
+
+
+def ratios(job: tuple[str, int, Effort]) -> list[float]:
+    """Widths over the tightest there are, at some instants of one board."""
+    profile, seed, effort = job
+    rng = generator(profile, TIGHT, seed)
+    seen = scene(profile, effort.duration_us, rng, bus_of(profile, rng))
+    told = firmware.follow(seen, firmware.settings_of(firmware.BOUNDS, seen.stamps.least))
+    first = int(np.searchsorted(seen.servo_us, effort.skip_us))
+    found = []
+    for i in rng.integers(first, len(seen.servo_us), PER_BOARD).tolist():
+        now = int(seen.servo_ticks[i])
+        known = tight.proofs(seen.stamps, now, now, int(seen.servo_us[i]) + EPOCH_US - now)
+        low, high = tight.tightest(known, firmware.DRIFT_PPM, WANDER_PPM_PER_S)
+        found.append(float(told.most[i] - told.least[i]) / (high - low))
+    return found
+
+
+def holdover(job: tuple[str, int]) -> tuple[float, int]:
+    """Worst error [us] of our clock while nothing passes, and how often it was not inside."""
+    profile, seed = job
+    rng = generator(profile, HOLDOVER, seed)
+    seen = scene(profile, CUT_US[1] + 1_000_000, rng, bus_of(profile, rng), CUT_US)
+    told = firmware.follow(seen, firmware.settings_of(firmware.BOUNDS, seen.stamps.least))
+    gap = (seen.servo_us >= CUT_US[0]) & (seen.servo_us < CUT_US[1])
+    return float(np.abs(told.error[gap]).max()), int(told.violations.sum())
+
+
+def on_beat(job: tuple[str, int, Tuned, Effort]) -> dict[str, Judged]:
+    """Our clock around a host where no status is dithered: each leaves at a servo period."""
+    profile, seed, _, effort = job
+    rng = generator(profile, JUDGING, seed)
+    bus = bus_of(profile, rng)
+    judged = Judged()
+    for _ in range(DEVICES):
+        seen = scene(profile, effort.duration_us, rng, bus, dither_us=0)
+        told = firmware.follow(seen, firmware.settings_of(firmware.BOUNDS, seen.stamps.least))
+        judged.take(seen.servo_us, told.error, effort.skip_us, SETTLED_US[profile])
+        late = seen.servo_us > effort.skip_us
+        judged.take_told(told.least[late], told.most[late], told.violations[late])
+    return {OURS: judged}
+
+
+def marked(job: tuple[str, int, Tuned, Effort]) -> dict[str, Judged]:
+    """The whole firmware around a host on a bus, with and without its starts of frames."""
+    profile, seed, _, effort = job
+    judged = {}
+    for name, marks in ((OURS, False), (MARKED, True)):
+        made = boards.star(profile, DEVICES, generator(profile, JUDGING, seed), marks)
+        ran, mine = boards.run(made, effort.duration_us), Judged()
+        late = ran.true_us > effort.skip_us
+        for error in ran.error.T:
+            mine.take(ran.true_us, error, effort.skip_us, SETTLED_US[profile])
+        mine.pairs.add(np.ptp(ran.error, axis=1)[late])
+        mine.take_told(ran.least[late], ran.most[late], ran.violations[late])
+        mine.outside += int(ran.violations[~late].sum())
+        judged[name] = mine
+    return judged
+
+
+def arm(job: tuple[float, int]) -> Array:
+    """RMS error [mrad] of arm2's joints with oscillators off by up to so much."""
+    drift_ppm, seed = job
+    changes = [f"sim.clocks.drift_ppm={drift_ppm}", f"seed={seed}", "duration_s=4"]
+    summary = Simulation(load_config(CONFIGS / "arm2.yaml", changes), CONFIGS).run()
+    return np.array(summary["tracking"]["rms"])
+
+
+PER_BOARD = 4  # instants
+DRIFTS_PPM = (0.0, 100.0)
+TUNED_EVERY_US = 10_000  # a chain is looked at
+
+
+def figures(network: str, topology: str, clock: str, judged: Judged, ratio: str) -> dict[str, Any]:
+    """A line of the table."""
+    told = judged.inside + judged.outside > 0
+    pairs, settle_s = judged.pairs.quantile(0.999), float(np.median(judged.settle_s))
+    share = 100 * judged.inside / (judged.inside + judged.outside) if told else 0.0
+    return {
+        "network": network,
+        "boards": topology,
+        "clock": clock,
+        "settle s": f"{settle_s:.2f}" if settle_s < np.inf else "never",
+        **{
+            name: round(judged.error.quantile(share), 1)
+            for name, share in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("worst", 1.0))
+        },
+        "pairs p99.9": f"{pairs:.1f}" if pairs == pairs else "",
+        "told +-": f"{judged.half.quantile(0.5):.1f}" if told else "",
+        "p99 of it": f"{judged.half.quantile(0.99):.1f}" if told else "",
+        "inside %": f"{share:.4g}" if told else "",
+        "over tightest": ratio,
+    }
+
+
+class Campaign:
+    """Runs jobs on two processors and says how far it is."""
+
+    def __init__(self, pool: ProcessPoolExecutor) -> None:
+        self._pool = pool
+
+    def run(self, what: str, job: Callable[[Any], Any], jobs: Iterable[Any]) -> list[Any]:
+        """Results in the order of the jobs."""
+        all_jobs, results = list(jobs), []
+        for done, result in enumerate(self._pool.map(job, all_jobs), 1):
+            results.append(result)
+            print(f"\r{what}: {done} of {len(all_jobs)} ", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+        return results
+
+
+def merged(parts: list[dict[str, Judged]]) -> dict[str, Judged]:
+    whole = parts[0]
+    for part in parts[1:]:
+        for name, judged in part.items():
+            whole[name].merge(judged)
+    return whole
+
+
+def main() -> int:
+    """Exit code."""
+    options = arguments((__doc__ or "").splitlines()[0])
+    effort = LONG if options.long else QUICK
+    rows: list[dict[str, Any]] = []
+    goals: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(2) as pool:
+        campaign = Campaign(pool)
+        jobs = [(p, t, m, effort) for p in PROFILES for t in (CHAIN, STAR) for m in METHODS[1:]]
+        tuned: dict[tuple[str, str], Tuned] = {}
+        tunings = campaign.run("tuning", tune, jobs)
+        for (profile, topology, method, _), (numbers, _) in zip(jobs, tunings, strict=True):
+            tuned.setdefault((profile, topology), {})[method] = numbers
+        for profile in PROFILES:
+            some = range(-(-effort.instants // PER_BOARD))
+            widths = campaign.run(
+                f"{profile}, tightest", ratios, [(profile, seed, effort) for seed in some]
+            )
+            ratio = float(np.median(np.concatenate(widths)))
+            goals.append(goal(f"{profile}: median width over the tightest", ratio, "<=", 1.3))
+            for topology, job, seeds in ((STAR, star, effort.stars), (CHAIN, row, effort.chains)):
+                mine = tuned[profile, topology]
+                found = merged(
+                    campaign.run(
+                        f"{profile}, {topology}",
+                        job,
+                        [(profile, seed, mine, effort) for seed in range(seeds)],
+                    )
+                )
+                for name, judged in found.items():
+                    over = f"{ratio:.3f}" if (topology, name) == (STAR, OURS) else ""
+                    rows.append(figures(profile, topology, name, judged, over))
+                goals += judge(profile, topology, found)
+        for topology, job, seeds in (
+            ("star, no dither", on_beat, effort.stars),
+            ("star, whole", marked, effort.chains),
+        ):
+            jobs_usb = [("usb", seed, Tuned(), effort) for seed in range(seeds)]
+            found = merged(campaign.run(f"usb, {topology}", job, jobs_usb))
+            for name, judged in found.items():
+                rows.append(figures("usb", topology, name, judged, ""))
+                if topology != "star, no dither":
+                    key = f"usb, {topology}, {name}"
+                    goals.append(goal(f"{key}: truths outside", judged.outside, "<=", 0))
+        gaps = []
+        for profile in ("usb-iid", "lan"):
+            cuts = [(profile, seed) for seed in range(effort.holdovers)]
+            worst, outside = zip(*campaign.run(f"{profile}, cut", holdover, cuts), strict=True)
+            gaps.append({
+                "network": profile, "boards": len(cuts), "cut ms": (CUT_US[1] - CUT_US[0]) / 1e3,
+                "median of the worst us": float(np.median(worst)), "worst us": max(worst),
+                "not inside": sum(outside),
+            })  # fmt: skip
+            goals.append(
+                goal(f"{profile}: worst in the gap [us]", max(worst), "<=", HOLDOVER_LIMIT_US)
+            )
+        runs = [(drift, seed) for drift in DRIFTS_PPM for seed in range(effort.arms)]
+        rms = np.array(campaign.run("arm2", arm, runs)).reshape(len(DRIFTS_PPM), effort.arms, -1)
+    medians = np.median(rms, axis=1)
+    arms = [
+        {"drift ppm": drift, "rms q1 mrad": median[0], "rms q2 mrad": median[1]}
+        for drift, median in zip(DRIFTS_PPM, medians.tolist(), strict=True)
+    ]
+    worse = float((medians[1] / medians[0]).max())
+    goals.append(goal("arm2: tracking at 100 ppm over that at 0", worse, "<=", 1.05))
+    table(
+        f"clocks, {effort.stars} stars and {effort.chains} chains a network, of "
+        f"{effort.duration_us * 1e-6:g} s; errors against the host in us",
+        rows,
+    )
+    table("the contact is cut", gaps)
+    table(f"arm2, medians over {effort.arms} seeds of 4 s", arms)
+    numbers = [
+        {"network": profile, "boards": topology, "clock": method, "p99.9 then": round(score, 1),
+         "numbers": ", ".join(f"{name} {value:.3g}" for name, value in found.items())}
+        for (profile, topology, method, _), (found, score) in zip(jobs, tunings, strict=True)
+    ]  # fmt: skip
+    table(f"tuned, best of {effort.draws} draws", numbers)
+    finish([*rows, *gaps, *arms, *numbers], goals, options.json)
+    return 0
+
+
+def judge(profile: str, topology: str, found: dict[str, Judged]) -> list[dict[str, Any]]:
+    """The goals of one network and topology."""
+    name, ours = f"{profile}, {topology}", found[OURS]
+    goals = []
+    if topology == STAR and profile in P999_LIMIT_US:
+        limit = P999_LIMIT_US[profile]
+        goals.append(goal(f"{name}: p99.9 [us]", ours.error.quantile(0.999), "<=", limit))
+    others = {
+        method: judged.error.quantile(0.999)
+        for method, judged in found.items()
+        if method in METHODS[1:]
+    }
+    nearest = min(others, key=others.__getitem__)
+    share = ours.error.quantile(0.999) / others[nearest]
+    goals.append(goal(f"{name}: p99.9 over that of the next, {nearest}", share, "<", 1))
+    goals.append(goal(f"{name}: truths outside of what was told", ours.outside, "<=", 0))
+    return goals
+
+
+if __name__ == "__main__":
+    sys.exit(main())
