@@ -31,6 +31,7 @@ class Build:
     compiler: str = "cc"
     uses: dict[str, set[str]] = field(default_factory=dict)  # each source: files it includes
     sound: dict[str, bytes] = field(default_factory=dict)  # each source: its object
+    noticed: str = ""  # the file whose vectors noticed the last mutant: likely the next one, too
 
     def __post_init__(self) -> None:
         if self.uses:
@@ -39,9 +40,9 @@ class Build:
             shutil.copytree(self.root / name, self.folder / name, dirs_exist_ok=True)
         for source in self.sources():
             self.sound[source] = self._compile(source)
-        traced = self._link("-Wl,--trace,--trace")  # twice: with what is taken of archives
+        needed = self._needed()
         for source in self.sources():  # what is not linked need not be compiled again
-            if self._object(source).name not in traced:
+            if self._object(source).name not in needed:
                 del self.uses[source]
 
     def copy(self, folder: Path) -> Build:
@@ -76,16 +77,20 @@ class Build:
 
     def link(self) -> Path:
         """The program: the judge, and of the firmware what it calls."""
-        self._link()
-        return self.folder / "judge"
+        program = self.folder / "judge"
+        objects = [self._object(source) for source in self.uses]
+        self._run(self.compiler, *self.options, *objects, "-o", program)
+        return program
 
-    def _link(self, *options: str) -> str:
+    def _needed(self) -> str:
+        """What the linker says of the judge and of an archive of all firmware: what it takes."""
         program, archive = self.folder / "judge", self.folder / "firmware.a"
         objects = {source: self._object(source) for source in self.sources()}
         firmware = [made for source, made in objects.items() if source.startswith("firmware/")]
         self._run("ar", "rcs", archive, *firmware)
         judge = [made for made in objects.values() if made not in firmware]
-        return self._run(self.compiler, *self.options, *options, *judge, archive, "-o", program)
+        trace = "-Wl,--trace,--trace"  # twice: with what is taken of archives
+        return self._run(self.compiler, *self.options, trace, *judge, archive, "-o", program)
 
     def compile_changed(self, file: str, text: str) -> bool:
         """Compiles what uses `file` with other text; whether any object differs for it.
@@ -107,6 +112,7 @@ class Build:
 
     def judge(self, program: Path, vectors: Sequence[Path]) -> str:
         """What the judge disagrees with; "" if it agrees with all vectors."""
+        vectors = sorted(vectors, key=lambda path: path.name != self.noticed)
         try:
             done = subprocess.run(
                 [program, *vectors],
@@ -120,4 +126,7 @@ class Build:
         said = (done.stdout + done.stderr).decode(errors="replace")
         if done.returncode == 2:
             return f"the judge gave up: {said}"
-        return "" if done.returncode == 0 else said or f"ended with {done.returncode}"
+        if done.returncode == 0:
+            return ""
+        self.noticed = Path(said.partition(":")[0]).name
+        return said or f"ended with {done.returncode}"

@@ -142,10 +142,14 @@ def gaps(rng: Random) -> Iterator[str]:
         for at in (2, 3, 4, 6):
             yield from _gap(at, [fault, 0, 0, 0, 0], **{sink: [1, 2, 2] for sink in sinks})
             yield from _gap(at, [0, 0, 0, 0, hold], **{sink: [1, 2, 2] for sink in sinks})
+            yield from _gap(at, [0, 0, 0, 0, fault], **{sink: [1, 2, 2] for sink in sinks})
     top = (1 << 31) - 1  # an axis that turns for ever
     yield line("gap-blank")
     yield line("gap-store", first_knot=0, position=[top - 9] * 3)
     yield from _gap(6, [0] * 5, position=[-top] * 3)
+    yield line("gap-blank")
+    yield line("gap-store", first_knot=0, position=[-(1 << 29)] * 3)
+    yield from _gap(7, [0] * 5, position=[1 << 29] * 3)
 
 
 def _gap(first_knot: int, policies: list[int], **points: list[int]) -> Iterator[str]:
