@@ -153,8 +153,8 @@ bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, boo
     struct bounds_side *side = is_upper ? &bounds->upper : &bounds->lower;
     const struct bounds_side *other = is_upper ? &bounds->lower : &bounds->upper;
     struct bounds_line line = {is_upper ? -value_q16 : value_q16, ticks_us};
-    if (bounds->ticks_us - ticks_us > BOUNDS_AGE_MAX)
-        return true; // too old to say anything
+    if (ticks_us > bounds->ticks_us || bounds->ticks_us - ticks_us > BOUNDS_AGE_MAX)
+        return true; // too old to say anything; or, if a counter has jumped back, too young
     int64_t least_q16 = line_q16(limits, &line, bounds->ticks_us, side->skew_q32);
     int64_t most_q16 = line_q16(limits, &line, bounds->ticks_us, -other->skew_q32);
     if (other->count > 0 && least_q16 > -other->value_q16)

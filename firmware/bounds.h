@@ -54,8 +54,8 @@ void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int
 // Carries the set on to later ticks.
 void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, int64_t ticks_us);
 
-// Takes a proof that held at `ticks_us`, not later than now: theta >= `value_q16`, or, of the upper
-// side, theta <= it. False if it contradicts the set, which then stays as it is.
+// Takes a proof that held at `ticks_us`; later than now it says nothing. It is theta >= `value_q16`,
+// or, of the upper side, theta <= it. False if it contradicts the set, which then stays as it is.
 bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, bool upper,
                   int64_t value_q16, int64_t ticks_us);
 

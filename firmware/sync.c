@@ -10,6 +10,7 @@
 #define SKEW_FIRST_US 8000000     // ... so long, 2^20 us are enough
 #define STEP_Q16 (8 << 16)        // a clock that may step does so beyond it
 #define OFFSET_MAX_US (1LL << 44) // half a year from the first sample: no clock runs so far
+#define DATE_US 1000000           // a mark is dated so soon, or not
 #define NANOSECOND_Q16 66         // of a microsecond, rounded up
 
 static struct bounds_limits limits_of(const struct sync_settings *settings) {
@@ -146,9 +147,11 @@ struct mark sync_date(const struct sync *sync, const struct sync_settings *setti
                       const struct headway_clock *clock, uint16_t number, uint32_t count_us) {
     struct bounds_limits limits = limits_of(settings);
     struct mark mark = {number, MARK_OPEN, 0};
-    if (!sync->begun || !bounds_closed(&sync->bounds))
-        return mark;
     int64_t ticks_us = clock_ticks(clock, count_us), base_us = sync->bounds.base_us + ticks_us;
+    int64_t ahead_us =
+        ticks_us - sync->bounds.ticks_us; // of what is known: far, if a counter jumps
+    if (!sync->begun || !bounds_closed(&sync->bounds) || ahead_us > DATE_US || ahead_us < -DATE_US)
+        return mark;
     int64_t lower_us = bounds_lower_at_q16(&sync->bounds, &limits, ticks_us) >> 16;
     int64_t upper_us = (bounds_upper_at_q16(&sync->bounds, &limits, ticks_us) >> 16) + 1 + STAMP_US;
     if (upper_us - lower_us < MARK_OPEN) {

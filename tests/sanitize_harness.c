@@ -10,6 +10,7 @@
 #include "command.h"
 #include "gap.h"
 #include "group.h"
+#include "peer.h"
 #include "store.h"
 #include <stdio.h>
 #include <stdlib.h>
@@ -302,6 +303,7 @@ static void gaps(void) {
 static struct sync_settings random_sync(void) {
     return (struct sync_settings){
         .method = (uint8_t)below(SYNC_METHODS),
+        .among_boards = !below(4),
         .drift_ppm = (uint16_t)(below(3) ? 100 + below(201) : below(301)),
         .wander_ppb_s = (uint16_t)(below(3) ? below(2000) : below(SYNC_WANDER_MAX_PPB_S + 1)),
         .to_device_least_us = below(3) ? 0 : below(SYNC_LIMIT_MAX_US + 1),
@@ -312,24 +314,55 @@ static struct sync_settings random_sync(void) {
     };
 }
 
+// A host, or a neighbour that says of itself what it likes.
+static struct sync_source random_source(const struct sync_settings *settings, bool honest,
+                                        bool alone) {
+    struct sync_source source = sync_host(settings);
+    if (!settings->among_boards && (alone || below(2)))
+        return source;
+    source.number = (uint8_t)below(SYNC_SOURCES);
+    source.lineage = (struct lineage){below(4), below(2)};
+    if (!honest) {
+        source.least_error_ns = extreme32();
+        source.most_error_ns = extreme32();
+    }
+    return source;
+}
+
+// A mark that the board has dated, and what others make of it.
+static void agree(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock, uint32_t count_us, bool honest) {
+    uint32_t at_us = count_us - below(20000);
+    struct mark mark = sync_date(sync, settings, clock, (uint16_t)random32(), at_us);
+    PROMISE(mark.width_us != MARK_OPEN || mark.least_us == 0);
+    if (!honest) {
+        mark.least_us = below(2) ? extreme64() / 8 : mark.least_us + between(-100, 100);
+        mark.width_us = (uint16_t)random32();
+    }
+    if (mark.width_us != MARK_OPEN)
+        sync_take_mark(sync, settings, clock, &mark, at_us, count_us);
+}
+
 // Hosts that tell the truth, and those that tell anything; from milliseconds to half an hour apart,
 // and once over years.
 static void clocks(void) {
-    uint32_t taken = 0, excluded = 0, settled = 0, stepped = 0;
+    uint32_t taken = 0, excluded = 0, settled = 0, stepped = 0, dated = 0, doubtful = 0;
     for (int32_t n = 0; n < 2000; n++) {
         struct sync_settings settings = random_sync();
-        struct sync sync;
+        struct sync sync = {.id = settings.among_boards ? 1 + below(3) : 0};
         uint32_t count_us = random32(), echo_us = count_us;
         struct headway_clock clock = {.count_us = count_us};
         int64_t base_us = below(2) ? between(-PLAN_TIME_MAX, PLAN_TIME_MAX) / 2 : 0, host_us = 0;
         uint32_t longest_us = below(3) ? 50000 : below(2) ? 40000000 : 1u << 31;
-        bool honest = below(3);
+        bool honest = below(3), alone = below(2);
         sync_restart(&sync);
         for (int32_t i = 0; i < (n == 0 ? 100000 : 150); i++) {
             uint32_t passed_us = n == 0 ? (1u << 31) - 1 : below(longest_us);
             int64_t before_us = clock.system_us;
             count_us += passed_us;
             host_us += passed_us;
+            if (i == 75 && below(2)) // somebody sets it
+                host_us += between(-5000, 5000);
             clock_advance(&clock, count_us);
             bool may_step = below(2);
             bool steps = sync_steer(&sync, &settings, &clock, may_step);
@@ -338,7 +371,7 @@ static void clocks(void) {
             PROMISE(sync_error_us(&sync) >= 0);
             stepped += steps;
             settled += sync.settled;
-            struct stamps stamps = {echo_us, base_us + host_us, base_us + host_us};
+            struct stamps stamps = {echo_us, base_us + host_us, base_us + host_us, {0, 0, 0}};
             if (!honest && below(2))
                 stamps.sent_us = extreme64() / 8;
             if (!honest && below(2))
@@ -347,15 +380,22 @@ static void clocks(void) {
                 stamps.echo_us = random32();
             if (n == 0 && i % 1000)
                 continue;
-            bool good = sync_take(&sync, &settings, &clock, &stamps, count_us - below(2), count_us);
+            struct sync_source source = random_source(&settings, honest, alone);
+            bool good = sync_take(&sync, &settings, &clock, &source, &stamps, count_us - below(2),
+                                  count_us, may_step);
+            if (!settings.among_boards && below(2)) // marks are the host's time
+                agree(&sync, &settings, &clock, count_us, honest);
             taken += good;
             excluded += !good;
             echo_us = count_us;
-            if (sync.outcast >= SYNC_OUTCAST)
+            dated += sync.marked;
+            doubtful += sync.doubtful;
+            if (sync.outcast >= SYNC_OUTCAST || (sync.doubtful && below(2)))
                 sync_restart(&sync);
         }
     }
     PROMISE(taken > 1000 && excluded > 1000 && settled > 1000 && stepped > 1000);
+    PROMISE(dated > 1000 && doubtful > 100);
 }
 
 static void gates(void) {
@@ -484,10 +524,12 @@ static void run_board(struct node *node) {
 // ---- the device
 
 struct host {
-    uint8_t key[SIPHASH_KEY_BYTES];
+    uint8_t key[SIPHASH_KEY_BYTES], peer_key[SIPHASH_KEY_BYTES];
+    uint64_t asked[BOARD_PORTS]; // nonces of the board's last questions
     struct nonces nonces;
     struct session session, group;
     struct stamps stamps;
+    struct mark mark; // as the board has told it
     uint32_t number, commands;
     uint16_t epoch;
     int64_t first_knot; // of its first plan
@@ -496,15 +538,20 @@ struct host {
 };
 
 struct tally {
-    uint32_t states[DEVICE_STATES], bad, accepted, statuses, sessions, settings, dark;
+    uint32_t states[DEVICE_STATES], bad, accepted, statuses, sessions, settings, dark, questions,
+        answers;
 };
 
-static void deliver(struct board *board, const uint8_t *frame, int32_t size) {
+static void deliver_at(struct board *board, int32_t port, const uint8_t *frame, int32_t size) {
     uint8_t packet[COBS_BOUND(FRAME_MAX)];
     size = cobs_encode(frame, size, packet);
     if (!below(20))
         packet[below((uint32_t)size)] ^= (uint8_t)(1 << below(8));
-    board_deliver(board, board->true_us + (int64_t)below(300), packet, size);
+    board_deliver(board, port, board->true_us + (int64_t)below(300), packet, size);
+}
+
+static void deliver(struct board *board, const uint8_t *frame, int32_t size) {
+    deliver_at(board, BOARD_HOST, frame, size);
 }
 
 static void send(struct host *host, struct board *board, enum frame_type type, int32_t size) {
@@ -534,7 +581,7 @@ static void send_noise(struct host *host, struct board *board) {
     } else {
         for (int32_t i = 0; i < size; i++)
             payload[i] |= payload[i] == 0;
-        board_deliver(board, board->true_us, payload, size);
+        board_deliver(board, (int32_t)below(BOARD_PORTS), board->true_us, payload, size);
     }
 }
 
@@ -546,9 +593,40 @@ static void send_sync(struct host *host, struct board *board, bool hostile) {
         *fields[below(2)] = extreme64();
         if (!below(3))
             stamps.echo_us = random32();
+        stamps.mark = (struct mark){(uint16_t)board->sof_number, (uint16_t)random32(), extreme64()};
+    } else {
+        stamps.mark = host->mark;
     }
     uint8_t *payload = host->frame + FRAME_HEADER_BYTES;
     send(host, board, FRAME_SYNC, sync_encode(&stamps, payload, FRAME_PAYLOAD_MAX));
+}
+
+// What a neighbour says, who has the key and may be anybody.
+static void send_peer(struct host *host, struct board *board, bool sane) {
+    uint8_t frame[PEER_RESPONSE_BYTES];
+    int32_t port = (int32_t)below(BOARD_PORTS);
+    if (below(2)) {
+        peer_request_encode(host->peer_key, random32(), frame);
+        deliver_at(board, port, frame, PEER_REQUEST_BYTES);
+        return;
+    }
+    struct peer_response response = {
+        .nonce = host->asked[port],
+        .received_us = board->true_us - (int64_t)below(2000),
+        .sent_us = board->true_us,
+        .least_error_ns = -1000,
+        .most_error_ns = 1000,
+        .lineage = below(4),
+        .settled = below(2),
+    };
+    if (!sane) {
+        response.received_us = below(2) ? extreme64() : response.received_us;
+        response.sent_us = below(2) ? extreme64() : response.sent_us;
+        response.least_error_ns = extreme32();
+        response.most_error_ns = extreme32();
+    }
+    peer_response_encode(host->peer_key, &response, frame);
+    deliver_at(board, port, frame, PEER_RESPONSE_BYTES);
 }
 
 static void send_command(struct host *host, struct node *node, bool sane) {
@@ -634,9 +712,14 @@ static struct device_settings random_settings(bool sane) {
     settings.knot_periods = sane ? (struct scale){4, 0} : random_scale();
     settings.offset_count = sane ? 0 : extreme32();
     settings.carries_gravity = below(2);
+    settings.dither_us = (uint16_t)(below(2) ? below(2000) : below(1 << 16));
+    settings.neighbours = (uint8_t)(below(2) ? 0 : 2 * below(1 << (BOARD_PORTS - 1)));
+    settings.ask_us = 1000 + below(sane ? 20000 : 9999001);
+    settings.peer_least_us = sane ? 0 : below(SYNC_LIMIT_MAX_US + 1);
     settings.sync = random_sync();
     if (sane) { // as good as the oscillator and the wire are
         settings.sync.limit_us = SYNC_LIMIT_MAX_US;
+        settings.sync.among_boards = false;
         settings.sync.drift_ppm = (uint16_t)(101 + below(200));
         settings.sync.to_device_least_us = settings.sync.to_host_least_us = 0;
     }
@@ -707,6 +790,17 @@ static void read_welcome(struct host *host, const uint8_t *frame, int32_t size) 
     host->commands = host->number = 0;
 }
 
+static void read_peer(struct host *host, const uint8_t *frame, int32_t size, int32_t port,
+                      struct tally *tally) {
+    struct peer_response response;
+    if (peer_request_decode(host->peer_key, frame, size, &host->asked[port])) {
+        tally->questions++;
+        return;
+    }
+    PROMISE(peer_response_decode(host->peer_key, frame, size, &response));
+    tally->answers++;
+}
+
 static void read_outbox(struct host *host, struct board *board, struct tally *tally) {
     static struct status status;
     static struct fault_log faults;
@@ -719,6 +813,10 @@ static void read_outbox(struct host *host, struct board *board, struct tally *ta
         const uint8_t *payload = parcel->bytes + FRAME_HEADER_BYTES;
         parcel->size = 0;
         PROMISE(size > 2);
+        if (parcel->port != BOARD_HOST) {
+            read_peer(host, parcel->bytes, size, parcel->port, tally);
+            continue;
+        }
         if (parcel->bytes[1] == FRAME_WELCOME) {
             read_welcome(host, parcel->bytes, size);
             continue;
@@ -730,6 +828,7 @@ static void read_outbox(struct host *host, struct board *board, struct tally *ta
             PROMISE(status_decode(payload, size, &status));
             host->stamps.echo_us = status.sent_count_us;
             host->stamps.received_us = parcel->time_us;
+            host->mark = status.mark;
             tally->statuses++;
         } else if (parcel->bytes[1] == FRAME_SETTINGS) {
             PROMISE(settings_decode(payload, size, false, &settings));
@@ -747,8 +846,11 @@ static void flash(struct node *node, struct host *host, bool sane) {
     struct device_settings settings = valid_settings(sane);
     memset(node, 0, sizeof *node);
     memset(host, 0, sizeof *host);
-    for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++)
+    for (int32_t i = 0; i < SIPHASH_KEY_BYTES; i++) {
         host->key[i] = settings.key[i] = (uint8_t)random32();
+        host->peer_key[i] = settings.peer_key[i] = (uint8_t)random32();
+    }
+    host->mark.width_us = MARK_OPEN;
     node->board.true_us = sane ? (int64_t)below(2) * 1700000000000000 : between(0, 1LL << 50);
     int32_t wander_ppb_per_s = node->board.true_us == 0 ? (int32_t)below(1000) : 0; // else it seeks
     PROMISE(oscillator_begin(&node->board.oscillator, between(-(1LL << 40), 1LL << 40),
@@ -798,6 +900,8 @@ static void speak(struct node *node, struct host *host, bool sane) {
         send_group(host, &node->board);
     else if (what == 51 && !below(4))
         send_settings(host, &node->board, sane);
+    else if (what < 60)
+        send_peer(host, &node->board, sane || below(2));
 }
 
 static void live(struct tally *tally, bool sane) {
@@ -810,6 +914,11 @@ static void live(struct tally *tally, bool sane) {
         uint32_t pause_us = node.device.state == DEVICE_UNSYNCED ? 4000 : 250; // it takes a second
         int64_t passed_us = sane || below(1000) ? below(pause_us) : below(1000000);
         board_advance(&node.board, node.board.true_us + passed_us);
+        if (!below(50)) { // a start of a frame, just now
+            node.board.bus.begun = true;
+            node.board.sof_number = (node.board.sof_number + 32) % 2048 + !below(10);
+            node.board.sof_count = board_count_us(&node.board) - below(200);
+        }
         if (below(100000) == 0)
             oscillator_step(&node.board.oscillator, node.board.true_us, (int32_t)random32());
         motion_us += 1;
@@ -861,6 +970,8 @@ int main(void) {
     PROMISE(tally.accepted > 200 && tally.bad > 1000 && tally.statuses > 500);
     printf("%u calls of the guard, %u trips\n", interrupts, trips);
     PROMISE(interrupts > 100000 && trips > 30);
+    printf("%u questions, %u answers\n", tally.questions, tally.answers);
+    PROMISE(tally.questions > 1000 && tally.answers > 1000);
     PROMISE(tally.sessions > 100 && tally.settings > 20 && tally.dark > 0);
     return 0;
 }

@@ -2044,7 +2044,7 @@ class Knowledge:
     def prove(self, is_upper: bool, value: Fraction, ticks: int) -> Fraction:
         """Takes a proof if something is left; else returns by how much there is too little."""
         new = value, ticks
-        if self.ticks - ticks > 1 << 25:
+        if not 0 <= self.ticks - ticks <= 1 << 25:
             return Fraction(0)
         slowest, fastest = self.slowest, self.fastest
         missing = Fraction(0)

@@ -87,7 +87,7 @@ def bounds(rng: Random) -> Iterator[str]:
                 refused = above if far > 0 else below
                 yield line("bounds-prove", **refused, ticks_us=world.ticks)
             old = world.ticks - AGE_MAX
-            for ticks in (old - 1, old):
+            for ticks in (old - 1, old, world.ticks + 1, world.ticks + (1 << 31)):
                 yield line("bounds-prove", at_least_q16=world.theta_q16 - (1 << 40), ticks_us=ticks)
             for pause in (1_000_000, AGE_MAX, AGE_MAX + 1, 1 << 31, 1 << 40):
                 world.ticks += pause
