@@ -57,8 +57,8 @@ BUGS = (
     Bug(
         "clock steered away",  # from the middle of what the stamps allow
         "firmware/sync.c",
-        "bounds_middle_q16(bounds) - offset_q16;",
-        "offset_q16 - bounds_middle_q16(bounds);",
+        "target_q16(sync, clock->ticks_us) - offset_q16;",
+        "offset_q16 - target_q16(sync, clock->ticks_us);",
         "tests/test_device_states.py::test_syncs_to_the_hosts_time",
     ),
     Bug(

@@ -5,7 +5,7 @@ from rig import POLL_US, POSITION, TORQUE, Rig, State, device_settings
 
 S = State
 DAY_US = 86_400_000_000
-OUTCAST = 64
+ENOUGH = 16  # stamps in a row that contradict what is known: then that is doubted
 SYNC_US = 4000  # between the rig's frames
 
 
@@ -117,7 +117,10 @@ def test_silence_is_told_from_an_unsure_clock(sync_lost_us: int) -> None:
 
 @pytest.mark.parametrize("by_us", [DAY_US, -DAY_US, 3000, -3000])
 def test_a_host_that_contradicts_itself_moves_nothing(by_us: int) -> None:
-    """What he says is excluded and counted; as he says nothing else, the axis comes to rest."""
+    """What he says is excluded and counted; as he says nothing else, the axis comes to rest.
+
+    Up to then the clock is, to the last bit, that of a board which hears nothing.
+    """
     rig = wandering_rig(margin_us=40)
     twin = wandering_rig(margin_us=40)
     run_into_running(rig)
@@ -130,7 +133,9 @@ def test_a_host_that_contradicts_itself_moves_nothing(by_us: int) -> None:
         rig.poll()
         twin.poll()
         assert rig.node.system_us(rig.now) == pytest.approx(truth + rig.now, abs=300)
-        assert rig.node.system_us(rig.now) == twin.node.system_us(twin.now)
+        if rig.node.status.stamps_excluded < ENOUGH - 1:  # as last told
+            assert rig.node.system_us(rig.now) == twin.node.system_us(twin.now)
+            assert rig.state in (S.RUNNING, S.COAST)
     status = rig.node.status
     assert status.stamps_excluded >= 400_000 // SYNC_US - 2
     assert status.frames_bad == 0 and twin.node.status.stamps_excluded == 0
@@ -140,17 +145,17 @@ def test_a_host_that_contradicts_itself_moves_nothing(by_us: int) -> None:
 
 
 def test_and_its_plans_stop_it_by_the_clock() -> None:
-    """One whose plans are still in time: until the interval has grown beyond the limit."""
+    """One whose plans are still in time: until what is known is doubted."""
     rig = wandering_rig(margin_us=40)
     run_into_running(rig)
     host_is_off(rig, 5000)
     keep_running(rig, 10_000_000)
     assert rig.state == S.TAIL and rig.reason == "CLOCK"
-    assert rig.node.status.stamps_excluded > 100
+    assert ENOUGH - 1 <= rig.node.status.stamps_excluded <= ENOUGH + 3
 
 
 @pytest.mark.parametrize("by_us", [DAY_US, -DAY_US, 10**9])
-def test_at_rest_it_starts_anew_after_64(by_us: int) -> None:
+def test_at_rest_it_starts_anew_after_16(by_us: int) -> None:
     """From IDLE: what it knows is wrong, so it forgets it and takes the host's time."""
     rig = Rig().sync()
     assert rig.state == S.IDLE
@@ -161,11 +166,11 @@ def test_at_rest_it_starts_anew_after_64(by_us: int) -> None:
         assert abs(rig.node.system_us(rig.now) - rig.host_us) > 10**8  # it does not step
         rig.poll()
     assert rig.state == S.UNSYNCED
-    assert rig.node.status.stamps_excluded - before == OUTCAST
-    assert rig.now - begin == pytest.approx(OUTCAST * SYNC_US, abs=2 * SYNC_US)
+    assert rig.node.status.stamps_excluded - before in (ENOUGH - 1, ENOUGH)  # as last told
+    assert rig.now - begin == pytest.approx(ENOUGH * SYNC_US, abs=2 * SYNC_US)
     rig.run_until(S.IDLE)
     assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
-    assert rig.node.status.stamps_excluded - before <= OUTCAST + 1
+    assert rig.node.status.stamps_excluded - before <= ENOUGH + 1
 
 
 def test_unsynced_too() -> None:
@@ -174,8 +179,8 @@ def test_unsynced_too() -> None:
     rig.run(500_000)
     assert rig.state == S.UNSYNCED and rig.node.status.stamps_excluded == 0
     host_is_off(rig, DAY_US)
-    rig.run(OUTCAST * SYNC_US + 20_000)
-    assert rig.node.status.stamps_excluded == OUTCAST
+    rig.run(ENOUGH * SYNC_US + 20_000)
+    assert rig.node.status.stamps_excluded == ENOUGH
     assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 2000
     rig.run_until(S.IDLE)
     assert abs(rig.node.system_us(rig.now) - rig.host_us) <= 200
@@ -183,6 +188,7 @@ def test_unsynced_too() -> None:
 
 @pytest.mark.parametrize("state", ["ARMED", "HOLD"])
 def test_under_power_it_never_does(state: str) -> None:
+    """It comes to rest, and stays there: no clock steps with power on."""
     rig = Rig().sync().arm()
     if state == "HOLD":
         assert rig.ask("STOP") == "DONE"
@@ -192,21 +198,23 @@ def test_under_power_it_never_does(state: str) -> None:
         before = rig.node.system_us(rig.now)
         rig.poll()
         assert abs(rig.node.system_us(rig.now) - before - POLL_US) <= 2
-    assert rig.node.status.stamps_excluded > OUTCAST
-    assert rig.state == S[state]
+    assert rig.node.status.stamps_excluded > ENOUGH
+    assert rig.state == S.HOLD
+    if state == "ARMED":
+        assert rig.reason == "CLOCK"
 
 
-def test_63_are_not_enough() -> None:
-    """And one that is right begins the row anew."""
+def test_15_are_not_enough() -> None:
+    """And each that is right takes a 64th of one back."""
     rig = Rig().sync()
     epoch_us = rig.epoch_us
     for _ in range(3):
         host_is_off(rig, DAY_US)
         excluded = rig.node.status.stamps_excluded
-        while rig.node.status.stamps_excluded < excluded + OUTCAST - 1:
+        while rig.node.status.stamps_excluded < excluded + ENOUGH - 1:
             rig.poll()
         rig.epoch_us = epoch_us
-        rig.run(20_000)
+        rig.run((ENOUGH - 1) * 64 * SYNC_US + 20_000)
         assert rig.state == S.IDLE
         rig.flying.clear()
         rig.stamps = (0, 0)

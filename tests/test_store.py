@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from headway.firmware import _core
 from headway.sim import _board
 
-KEY = bytes(range(100, 116))
+KEY, PEER_KEY = bytes(range(100, 116)), bytes(range(150, 166))
 SETTINGS, BOOTS = _board.RECORD_SETTINGS_A, _board.RECORD_BOOTS_A
 FAULTS = _board.RECORD_FAULTS_A
 STATE = {name: number for number, name in enumerate(_core.STATES)}
@@ -38,6 +38,10 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "brake_periods": unsigned[16],
         "stop_us": unsigned[32],
         "sync_lost_us": unsigned[32],
+        "dither_us": unsigned[16],
+        "neighbours": unsigned[8],
+        "ask_us": unsigned[32],
+        "peer_least_us": unsigned[32],
         "torque_step_tq": i32,
         "knot_periods": scales,
         "offset_count": i32,
@@ -89,9 +93,22 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "way_counts": i32,
         "still_periods": unsigned[16],
     },
+    "sync": {
+        "method": unsigned[8],
+        "among_boards": st.booleans(),
+        "drift_ppm": unsigned[16],
+        "wander_ppb_s": unsigned[16],
+        "to_device_least_us": unsigned[32],
+        "to_host_least_us": unsigned[32],
+        "limit_us": unsigned[32],
+        "interval_us": unsigned[32],
+        "phase_gain": unsigned[16],
+        "skew_gain_q8": unsigned[16],
+    },
 }
-OTHERWISE = {"key", "servo", "monitor", "home", "valid", "encode", "decode", "limits", "gap_policy"}
-OTHERWISE |= {"set_limits", "set_gap_policy"}  # checked by name below, or no field
+OTHERWISE = {"key", "peer_key", "servo", "monitor", "home", "sync", "limits", "gap_policy"}
+OTHERWISE |= {"valid", "encode", "decode"}  # checked by name below, or no field
+OTHERWISE |= {"set_limits", "set_gap_policy"}
 SINKS = range(5)
 
 
@@ -103,7 +120,7 @@ def part(made: _core.DeviceSettings, name: str) -> object:
 def device_settings(draw: st.DrawFn) -> _core.DeviceSettings:
     """Any numbers, whether they make sense or not."""
     made = _core.DeviceSettings()
-    made.key = draw(st.binary(min_size=16, max_size=16))
+    made.key, made.peer_key = (draw(st.binary(min_size=16, max_size=16)) for _ in range(2))
     for name, fields in FIELDS.items():
         for field, values in fields.items():
             setattr(part(made, name), field, draw(values))
@@ -134,12 +151,12 @@ def every_field(made: _core.DeviceSettings) -> Iterator[tuple[str, object]]:
 def sound_settings(name: str = "shoulder", key: bytes = KEY) -> _core.DeviceSettings:
     """The least that is valid."""
     made = _core.DeviceSettings()
-    made.name, made.key = name, key
+    made.name, made.key, made.peer_key = name, key, PEER_KEY
     made.knot_shift, made.servo_period_us, made.sample_every = 12, 1000, 1
     made.torque_step_tq, made.servo.torque_limit_tq = 1, 1 << 20
     for field in ("following_pq", "speed_pq", "stuck_pq", "deceleration_q16", "spike_counts"):
         setattr(made.monitor, field, 1)
-    made.monitor.rise_q16 = made.home.acceleration_q16 = 1
+    made.monitor.rise_q16 = made.home.acceleration_q16 = made.sync.limit_us = 1
     assert made.valid
     return made
 
@@ -185,6 +202,7 @@ def test_every_field_is_known_here() -> None:
         "servo": _core.ServoSettings,
         "monitor": _core.MonitorSettings,
         "home": _core.HomeSettings,
+        "sync": _core.SyncSettings,
     }
     for name, owner in owners.items():
         public = {field for field in vars(owner) if field[0] != "_"}
@@ -197,6 +215,7 @@ def test_settings_survive(made: _core.DeviceSettings, with_key: bool) -> None:
     assert back is not None
     assert list(every_field(back)) == list(every_field(made))
     assert back.key == (made.key if with_key else bytes(16))
+    assert back.peer_key == (made.peer_key if with_key else bytes(16))
     assert back.encode(with_key) == made.encode(with_key)
 
 
@@ -219,14 +238,15 @@ def test_one_field_changes_its_own_bytes_alone(
 
 def test_size_on_the_wire_and_in_memory() -> None:
     size = len(sound_settings().encode())
-    assert len(sound_settings().encode(with_key=True)) == size + 16
+    assert len(sound_settings().encode(with_key=True)) == size + 32
     assert size <= 1000  # one frame
-    assert size + 16 + 8 <= _board.RECORD_MAX
+    assert size + 32 + 8 <= _board.RECORD_MAX
 
 
-def test_the_key_is_not_in_what_goes_over_the_wire() -> None:
-    assert KEY not in sound_settings().encode()
-    assert KEY in sound_settings().encode(with_key=True)
+@pytest.mark.parametrize("key", [KEY, PEER_KEY])
+def test_keys_are_not_in_what_goes_over_the_wire(key: bytes) -> None:
+    assert key not in sound_settings().encode()
+    assert key in sound_settings().encode(with_key=True)
 
 
 @given(st.binary(max_size=600), st.booleans())
@@ -242,7 +262,7 @@ def test_other_sizes_and_formats_are_no_settings() -> None:
     assert _core.DeviceSettings.decode(good + b"\0") is None
     for version in range(256):
         back = _core.DeviceSettings.decode(bytes([version]) + good[1:])
-        assert (back is not None) == (version == good[0] == 1)
+        assert (back is not None) == (version == good[0] == 2)
 
 
 def test_a_flag_is_zero_or_one() -> None:
@@ -368,7 +388,7 @@ def test_damage_to_both_places_is_a_fault() -> None:
 def test_another_format_is_a_fault() -> None:
     node = node_with(sound_settings())
     payload = sound_settings().encode(with_key=True)
-    for version, state in ((1, "BOOT"), (0, "FAULT"), (2, "FAULT"), (255, "FAULT")):
+    for version, state in ((2, "BOOT"), (0, "FAULT"), (1, "FAULT"), (3, "FAULT"), (255, "FAULT")):
         node.set_memory(SETTINGS, record(5, bytes([version]) + payload[1:]))
         node.restart()
         assert _core.STATES[node.state] == state
