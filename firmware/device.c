@@ -161,8 +161,10 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
                        uint32_t late_us) {
     clock_advance(&device->clock, count_us);
     if (sync_steer(&device->sync, &device->settings.sync, &device->clock,
-                   device->state == DEVICE_UNSYNCED))
+                   device->state == DEVICE_UNSYNCED)) {
         history_flush(&device->history);
+        neighbours_flush(device);
+    }
     int64_t time_us = device->clock.system_us;
     measure(device, board, time_us);
     watch(device, board, count_us, late_us);

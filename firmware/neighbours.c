@@ -86,6 +86,11 @@ static void keep(struct device *device, struct board *board, int32_t port, uint6
     device->neighbours.demands[port] = demand;
 }
 
+void neighbours_flush(struct device *device) {
+    for (int32_t port = 0; port < BOARD_PORTS; port++)
+        device->neighbours.demands[port].open = false;
+}
+
 void neighbours_speak(struct device *device, struct board *board) {
     if (device->settings.neighbours == 0)
         return;

@@ -36,6 +36,10 @@ struct neighbours {
 // `dither_us`: neither keeps step with anything on the way. To be called as often as may be.
 void neighbours_speak(struct device *device, struct board *board);
 
+// After a step of the clock: the arrival of what was asked before is by another time than an answer
+// would be, so there will be none.
+void neighbours_flush(struct device *device);
+
 // What came from a neighbour: keeps a request, takes the stamps of a response.
 bool neighbours_take(struct device *device, struct board *board, const uint8_t *frame, int32_t size,
                      int32_t port, uint32_t arrived_us, uint32_t count_us);

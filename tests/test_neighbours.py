@@ -486,6 +486,38 @@ def test_who_is_no_neighbour_gets_no_answer() -> None:
     assert node.status.frames_bad == 3
 
 
+@pytest.mark.parametrize("steps", [False, True])
+def test_what_was_asked_before_a_step_gets_no_answer(steps: bool) -> None:
+    """It arrived by another time than the answer would tell: that it came from is not known any
+    more. The step here: the board joins a settled group."""
+    boards = Village(np.random.default_rng(11))
+    boards.add(1)
+    node = boards.nodes[0]
+    settings = node.settings
+    settings.key, settings.peer_key, settings.dither_us = KEY, PEER_KEY, 60_000
+    node.flash(settings)
+    seen = []
+    for k in range(200):
+        boards.now += MS
+        if k == 60:  # asked, and not answered at once
+            request = sealed(bytes([1, REQUEST]) + bytes(8))
+            node.deliver(boards.now, request, 1)
+        node.poll(boards.now, 0)
+        for _, packet in node.collect(1):
+            frame = unstuffed(packet)
+            seen.append((k, frame[1]))
+            if frame[1] == REQUEST:
+                nonce = int.from_bytes(frame[2:10], "little")
+                asked = boards.now
+        if k == 60 and steps:
+            fields = [1, RESPONSE, nonce, DAY_US + asked, DAY_US + asked, 0, 0, 77, 1, 0]
+            node.deliver(boards.now, sealed(FIELDS.pack(*fields)[:-8]), 1)
+            node.poll(boards.now, 0)
+            assert node.lineage == 77
+    answers = [k for k, kind in seen if kind == RESPONSE]
+    assert len(answers) == (0 if steps else 1) and all(k > 61 for k in answers)
+
+
 def test_questions_do_not_keep_step() -> None:
     """Pauses vary by a quarter around what is asked for, and fill it evenly."""
     boards = village(10, [(0, 1)])
