@@ -45,6 +45,22 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "knot_shift": unsigned[8],
         "servo_period_us": unsigned[16],
         "sample_every": unsigned[16],
+        "dither_us": unsigned[16],
+        "neighbours": unsigned[8],
+        "ask_us": unsigned[32],
+        "peer_least_us": unsigned[32],
+    },
+    "sync": {
+        "method": unsigned[8],
+        "among_boards": st.booleans(),
+        "drift_ppm": unsigned[16],
+        "wander_ppb_s": unsigned[16],
+        "to_device_least_us": unsigned[32],
+        "to_host_least_us": unsigned[32],
+        "limit_us": unsigned[32],
+        "interval_us": unsigned[32],
+        "phase_gain": unsigned[16],
+        "skew_gain_q8": unsigned[16],
     },
     "servo": {
         "kp_tq": scales,
@@ -90,7 +106,19 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "still_periods": unsigned[16],
     },
 }
-OTHERWISE = {"key", "servo", "monitor", "home", "valid", "encode", "decode", "limits", "gap_policy"}
+OTHERWISE = {
+    "key",
+    "peer_key",
+    "sync",
+    "servo",
+    "monitor",
+    "home",
+    "valid",
+    "encode",
+    "decode",
+    "limits",
+    "gap_policy",
+}
 OTHERWISE |= {"set_limits", "set_gap_policy"}  # checked by name below, or no field
 SINKS = range(5)
 
@@ -104,6 +132,7 @@ def device_settings(draw: st.DrawFn) -> _core.DeviceSettings:
     """Any numbers, whether they make sense or not."""
     made = _core.DeviceSettings()
     made.key = draw(st.binary(min_size=16, max_size=16))
+    made.peer_key = draw(st.binary(min_size=16, max_size=16))
     for name, fields in FIELDS.items():
         for field, values in fields.items():
             setattr(part(made, name), field, draw(values))
@@ -139,7 +168,7 @@ def sound_settings(name: str = "shoulder", key: bytes = KEY) -> _core.DeviceSett
     made.torque_step_tq, made.servo.torque_limit_tq = 1, 1 << 20
     for field in ("following_pq", "speed_pq", "stuck_pq", "deceleration_q16", "spike_counts"):
         setattr(made.monitor, field, 1)
-    made.monitor.rise_q16 = made.home.acceleration_q16 = 1
+    made.monitor.rise_q16 = made.home.acceleration_q16 = made.sync.limit_us = 1
     assert made.valid
     return made
 
@@ -219,9 +248,9 @@ def test_one_field_changes_its_own_bytes_alone(
 
 def test_size_on_the_wire_and_in_memory() -> None:
     size = len(sound_settings().encode())
-    assert len(sound_settings().encode(with_key=True)) == size + 16
+    assert len(sound_settings().encode(with_key=True)) == size + 2 * 16
     assert size <= 1000  # one frame
-    assert size + 16 + 8 <= _board.RECORD_MAX
+    assert size + 2 * 16 + 8 <= _board.RECORD_MAX
 
 
 def test_the_key_is_not_in_what_goes_over_the_wire() -> None:
@@ -242,7 +271,7 @@ def test_other_sizes_and_formats_are_no_settings() -> None:
     assert _core.DeviceSettings.decode(good + b"\0") is None
     for version in range(256):
         back = _core.DeviceSettings.decode(bytes([version]) + good[1:])
-        assert (back is not None) == (version == good[0] == 1)
+        assert (back is not None) == (version == good[0] == 2)
 
 
 def test_a_flag_is_zero_or_one() -> None:
@@ -368,7 +397,7 @@ def test_damage_to_both_places_is_a_fault() -> None:
 def test_another_format_is_a_fault() -> None:
     node = node_with(sound_settings())
     payload = sound_settings().encode(with_key=True)
-    for version, state in ((1, "BOOT"), (0, "FAULT"), (2, "FAULT"), (255, "FAULT")):
+    for version, state in ((2, "BOOT"), (0, "FAULT"), (1, "FAULT"), (3, "FAULT"), (255, "FAULT")):
         node.set_memory(SETTINGS, record(5, bytes([version]) + payload[1:]))
         node.restart()
         assert _core.STATES[node.state] == state

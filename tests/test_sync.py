@@ -83,6 +83,7 @@ def test_never_faster_than_500_ppm_and_never_back(
         begin = ticks(work)
         steps = may_step and not work.sync.settled
         told = work.follow(part, may_step=may_step)
+        steps |= may_step and not told.settled.all()  # it has come to doubt what it knew
         after = work.sync.clock.system_us + Fraction(work.sync.clock.fraction_q32, WRAP)
         if not steps:
             # The clock's way over the whole part, and from row to row.
@@ -295,7 +296,8 @@ def test_excluded_in_a_row(lie_us: int) -> None:
         assert work.sync.outcast == (i + 1 if i < OUTCAST else i - OUTCAST)
     assert work.sync.excluded == 3 * OUTCAST - 1
     work.sync.restart()
-    assert (work.sync.excluded, work.sync.outcast, work.sync.settled) == (0, 0, False)
+    assert (work.sync.excluded, work.sync.outcast) == (3 * OUTCAST - 1, 0)
+    assert not work.sync.settled
     assert work.sync.error_us == 2**31 - 1
 
 
