@@ -39,6 +39,12 @@ class Settle:
 
 
 def _why(state: ClockState) -> str:
+    if (state.least_us is None or state.most_us is None) and state.excluded:
+        return (
+            f"its clock has no bound, as {state.excluded} stamps contradict others: are frames "
+            "faster than sync.to_device_least_us and sync.to_host_least_us say, or has the host's "
+            "clock jumped?"
+        )
     if state.least_us is None or state.most_us is None:
         return "its clock has no bound yet: do frames pass in both directions?"
     if state.measured_us is not None and (

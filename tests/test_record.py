@@ -185,7 +185,7 @@ def test_received_packets_are_what_the_devices_sent(lockstep: Lockstep, memory: 
         key = world.bytes(16)
         nonces.integers(2**63)
         sessions.append(Session(key, nonces))
-        world.uniform(-1, 1), world.integers(2**32)
+        world.integers(2**32), world.uniform(-1, 1)
     ends = arrays["received_packet_offsets"]
     for i, device in enumerate(arrays["received_device"]):
         packet = arrays["received_packet"][ends[i] : ends[i + 1]].tobytes()

@@ -81,9 +81,9 @@ def test_never_faster_than_500_ppm_and_never_back(
             continue
         before = work.sync.clock.system_us + Fraction(work.sync.clock.fraction_q32, WRAP)
         begin = ticks(work)
-        steps = may_step and not work.sync.settled
+        was_settled = work.sync.settled
         told = work.follow(part, may_step=may_step)
-        steps |= may_step and not told.settled.all()  # it has come to doubt what it knew
+        steps = may_step and not (was_settled and told.settled.all())  # or it came to doubt
         after = work.sync.clock.system_us + Fraction(work.sync.clock.fraction_q32, WRAP)
         if not steps:
             # The clock's way over the whole part, and from row to row.
@@ -127,11 +127,11 @@ def test_unequal_delays_are_told(asymmetry_us: int) -> None:
 def test_only_a_clock_that_may_step_steps() -> None:
     """300 us at once, or slewed in at less than 500 ppm."""
     sync = _core.Sync(settings(drift_ppm=20, wander_ppb_s=0))
-    assert sync.take((0, 0, EPOCH_US), 0, 0)
+    assert sync.take((0, 0, EPOCH_US), 0, 0, True)
     assert sync.clock.system_us == EPOCH_US
     assert sync.steer(0, False)  # the first sample set it
     # A status left at 0 and was there 600 us later: the middle lies 300 us off.
-    assert sync.take((0, EPOCH_US + 600, EPOCH_US + 600), 600, 600)
+    assert sync.take((0, EPOCH_US + 600, EPOCH_US + 600), 600, 600, True)
     assert not sync.steer(1000, False)
     begin = sync.clock.system_us - 1000
     for count in range(2000, 200_000, 1000):
@@ -190,8 +190,10 @@ def test_a_long_time_alone(pause_s: int, wander: int) -> None:
 def still(limit_us: int, there_us: int, **changes: int) -> _core.Sync:
     """One exchange of `there_us` each way, of oscillators that do not drift."""
     sync = _core.Sync(settings(drift_ppm=0, wander_ppb_s=0, limit_us=limit_us, **changes))
-    assert sync.take((0, 0, EPOCH_US - there_us), 0, 0)
-    assert sync.take((0, EPOCH_US + there_us, EPOCH_US + there_us), 2 * there_us, 2 * there_us)
+    assert sync.take((0, 0, EPOCH_US - there_us), 0, 0, True)
+    assert sync.take(
+        (0, EPOCH_US + there_us, EPOCH_US + there_us), 2 * there_us, 2 * there_us, True
+    )
     sync.steer(2 * there_us, True)
     return sync
 
@@ -240,11 +242,11 @@ def test_a_host_that_never_echoes_settles_nothing() -> None:
     """There is but one side; and the second begins when there are two."""
     sync = _core.Sync(settings(drift_ppm=0, wander_ppb_s=0))
     for count in range(0, 5 * SETTLE_US, 10_000):
-        assert sync.take((0, 0, EPOCH_US + count), count, count)
+        assert sync.take((0, 0, EPOCH_US + count), count, count, True)
         assert sync.steer(count, True) == (count == 0)
         assert not sync.settled and sync.error_us == 2**31 - 1
     begin = 5 * SETTLE_US
-    assert sync.take((begin - 100, EPOCH_US + begin, EPOCH_US + begin), begin, begin)
+    assert sync.take((begin - 100, EPOCH_US + begin, EPOCH_US + begin), begin, begin, True)
     for passed, settled in ((0, False), (SETTLE_US - 20_000, False), (SETTLE_US, True)):
         sync.steer(begin + passed, True)
         assert sync.settled == settled
@@ -296,9 +298,53 @@ def test_excluded_in_a_row(lie_us: int) -> None:
         assert work.sync.outcast == (i + 1 if i < OUTCAST else i - OUTCAST)
     assert work.sync.excluded == 3 * OUTCAST - 1
     work.sync.restart()
-    assert (work.sync.excluded, work.sync.outcast) == (3 * OUTCAST - 1, 0)
-    assert not work.sync.settled
+    told = work.sync.excluded, work.sync.outcast, work.sync.settled
+    assert told == (3 * OUTCAST - 1, 0, False)  # what it has counted stays
     assert work.sync.error_us == 2**31 - 1
+
+
+def row_of(frames: Frames, at: float) -> Frames:
+    """The same frames, so much later."""
+    columns = frames.sent, frames.arrived, frames.echo, frames.received
+    return Frames(*(column + at for column in columns), frames.echoes)
+
+
+@pytest.mark.parametrize("lie_us", [250, -250])
+def test_a_host_that_is_set_by_less_than_delays_vary_is_doubted(lie_us: int) -> None:
+    """Some of his stamps are taken, others not, for ever: then what is known is known no more.
+
+    Once it begins anew, all is well, by the host's new time.
+    """
+    work, _ = begun(constant(0), 10)
+    later = row_of(stream(np.random.default_rng(11), 4), float(ticks(work)))
+    work.lie_us = lie_us
+    told = work.follow(later, may_step=False)
+    assert not told.known[-1] and not told.settled[-1]
+    gone = np.argmax(~told.known)
+    assert not told.known[gone:].any() and not told.settled[gone:].any()
+    assert work.sync.outcast < OUTCAST  # in a row they never were
+    work.sync.restart()
+    again = row_of(stream(np.random.default_rng(12), 4), float(ticks(work)))
+    seen = work.follow(again)
+    assert seen.settled[-1] and seen.known[-1]
+    assert seen.least[-1] <= seen.error[-1] - lie_us <= seen.most[-1]
+
+
+def test_a_few_that_are_wrong_are_no_doubt() -> None:
+    """Sixteen in a row are, fifteen are not; one that is good takes a sixty-fourth of one back."""
+    work, _ = begun(constant(0), 5)
+    later = row_of(stream(np.random.default_rng(11), 30), float(ticks(work)))
+    for i in range(15):
+        work.lie_us = 86_400_000_000
+        told = work.follow(later.part(np.array([i])), may_step=False)
+        assert told.known[0]
+    work.lie_us = 0
+    work.follow(later.part(np.arange(15, 15 + 15 * 64)), may_step=False)
+    for i in range(1000, 1016):
+        assert told.known[0]
+        work.lie_us = 86_400_000_000
+        told = work.follow(later.part(np.array([i])), may_step=False)
+    assert not told.known[0]
 
 
 # ---- the plain routine

@@ -40,6 +40,10 @@ def test_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
             "sim.to_host.loss=1",
             ["q1: its clock has no bound yet", "q2: its clock has no bound yet"],
         ),
+        (
+            "sync.to_device_least_us=9000",
+            ["q1: its clock has no bound, as", "sync.to_host_least_us"],
+        ),
     ],
 )
 def test_it_says_who_does_not_settle(

@@ -191,8 +191,8 @@ def _ask(
     yield line(
         "sync-hear", echo_us=(start + asked) % WRAP, received_us=received_us, sent_us=sent_us,
         arrived_us=(start + arrived) % WRAP, count_us=now, may_step=may_step,
-        peer_least_us=least_us, least_error_ns=errors[0], most_error_ns=errors[1],
-        lineage=lineage, settled=settled,
+        source=1 + lineage % 4, peer_least_us=least_us, least_error_ns=errors[0],
+        most_error_ns=errors[1], lineage=lineage, settled=settled,
     )  # fmt: skip
     yield line("sync-steer", count_us=now, may_step=may_step)
 
@@ -233,6 +233,20 @@ def among(rng: Random) -> Iterator[str]:
             yield from _ask(rng, start, world, 0, 77, 0, 1, lie_us=9 * DAY_US)
 
 
+def doubts(rng: Random) -> Iterator[str]:
+    """A host, and neighbours, whose clock is off by less than delays vary: some stamps contradict
+    what is known, others do not, until all is doubted; unless another neighbour agrees."""
+    yield from _talk(rng, 3, 200, 16_384, 1000, (300,))
+    for others in ((1,), (1, 2)):
+        yield line("sync", **USUAL | {"id": 40}, count_us=5)
+        world = _World(rng, 150 * PPM - 9, 1000 * PPB_S, 0)
+        for i in range(110):
+            for other in others:
+                world.go(world.ticks + 15_000)
+                lie_us = 300 if other == 1 and i > 70 else 0
+                yield from _ask(rng, 5, world, 0, other, 1, int(i < 40), lie_us, delay_us=600)
+
+
 def hops(rng: Random) -> Iterator[str]:
     """No time of boards: what the host's board says counts, whoever hears it."""
     for start, least_us, error_us in ((0, 0, 30), (WRAP - 300_000, 1500, -700)):
@@ -264,6 +278,7 @@ def steering(rng: Random) -> Iterator[str]:
     yield line("sync-mark", mark_width_us=9, mark_least_us=9, at_us=1, count_us=1)
     yield from among(rng)
     yield from hops(rng)
+    yield from doubts(rng)
     far = (0, 86_400_000_000, -86_400_000_000, 1 << 45, -(1 << 45), 5000, -5000)
     yield from _talk(rng, WRAP - 5, 120, 16_384, 1000, far)
     yield from _talk(rng, 11, 120, 16_384, 1000, far, method=1, limit_us=1200)

@@ -118,6 +118,7 @@ static void replay_sync_take(void) {
 // Of a neighbour.
 static void replay_sync_hear(void) {
     struct sync_source source = {
+        .number = (uint8_t)given("source"),
         .to_here_least_us = (uint32_t)given("peer_least_us"),
         .to_there_least_us = (uint32_t)given("peer_least_us"),
         .least_error_ns = (int32_t)given("least_error_ns"),
