@@ -430,7 +430,7 @@ class Sync:
         stamps_us: tuple[int, int, int],
         arrived_us: int,
         now_us: int,
-        may_step: bool,
+        may_step: bool = True,
         least_error_ns: int = 0,
         most_error_ns: int = 0,
     ) -> bool:

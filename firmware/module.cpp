@@ -679,7 +679,7 @@ static void bind_sync(nb::module_ &m) {
                 return sync_take(&s.sync, &s.settings, &s.clock, &source, &st, arrived_us, now_us,
                                  may_step);
             },
-            "stamps_us"_a, "arrived_us"_a, "now_us"_a, "may_step"_a, "least_error_ns"_a = 0,
+            "stamps_us"_a, "arrived_us"_a, "now_us"_a, "may_step"_a = true, "least_error_ns"_a = 0,
             "most_error_ns"_a = 0)
         .def(
             "steer",
