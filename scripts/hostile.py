@@ -160,13 +160,15 @@ class Attacker:
         self._settle()
         if self.plant.true_us >= self.until_us:
             self.mood = str(
-                self.rng.choice(["rush", "rush", "shake", "pump", "random", "commands", "silence"])
+                self.rng.choice(
+                    ["rush", "rush", "shake", "pump", "random", "commands", "silence", "lie"]
+                )
             )
             self.until_us = self.plant.true_us + int(self.rng.integers(50_000, 1_500_000))
             self.push = float(self.rng.choice([-1.0, 1.0]))
         rng = self.rng
         lie = int(rng.choice([0, 0, 0, 300, -300, 10**5, -(10**5), 10**9]))
-        if self.state in ("UNSYNCED", "IDLE"):
+        if self.state in ("UNSYNCED", "IDLE") or not self._lies():
             lie = 0
         if self.mood != "silence" or self.state in ("UNSYNCED", "IDLE"):
             stamps = *self.stamps, self.now_us + lie
@@ -187,6 +189,10 @@ class Attacker:
                 self._deliver(self.sent[int(rng.integers(len(self.sent)))])
             elif self.mood != "commands" or rng.random() < 0.2:
                 self._plan()
+
+    def _lies(self) -> bool:
+        """Now and then; always would soon be doubted, and all that follows refused."""
+        return self.mood == "lie" or self.rng.random() < 0.01
 
     def _deliver(self, packet: bytes) -> None:
         self.node.deliver(self.plant.true_us, packet)
@@ -225,7 +231,8 @@ class Attacker:
         epoch = self.epoch if rng.random() < 0.98 else self.epoch + 1
         if rng.random() < 0.01:
             first += int(rng.integers(LENGTH, 2 * LENGTH))  # a gap
-        stamps = 0, 0, self.now_us + int(rng.choice([0, 0, 90_000, -90_000]))
+        lie = int(rng.choice([0, 0, 90_000, -90_000])) if self._lies() else 0
+        stamps = 0, 0, self.now_us + lie
         self.number += 1
         self.found.plans += 1
         payload = _core.plan_encode(stamps, self.number, epoch % 65536, first, points)
