@@ -101,7 +101,7 @@ def test_editors_are_told_the_same(changes: dict[str, Any], valid: bool, tmp_pat
 
 def test_the_boards_know() -> None:
     for axis, endless in ((TABLE, True), (ARM, False)):
-        board = device_settings(axis, CONFIG.device, CONFIG.loop)
+        board = device_settings(axis, CONFIG.device, CONFIG.loop, CONFIG.sync)
         assert board.limits(POSITION).continuous is endless
         assert board.limits(TORQUE).continuous is False
         assert board.monitor.bounded is not endless
@@ -193,7 +193,7 @@ def test_an_odometer_begins_anew_where_the_mark_was_found() -> None:
 def test_both_gates_take_a_plan_across_the_end_of_int32(
     direction: int, excess: int, result: str
 ) -> None:
-    board = device_settings(TABLE, CONFIG.device, CONFIG.loop)
+    board = device_settings(TABLE, CONFIG.device, CONFIG.loop, CONFIG.sync)
     board.key = KEY
     rig = Rig(settings=board, supply_V=TABLE.motor.supply_V)
     at = direction * (2**21 - 5)  # counts
