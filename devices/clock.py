@@ -7,8 +7,9 @@ the host's in a frame that the device had heard `age` before,
 
     T - age - S >= T's error >= T - R.
 
-Over a window the tightest of both sides count. As the device's clock is steered meanwhile by no
-more than some hundred ppm, a window of a second blurs them by no more than that.
+with the rounding of all readings. Over a window the tightest of both sides count. As the device's
+clock is steered meanwhile by no more than some hundred ppm, a window of a second blurs them by no
+more than that.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from dataclasses import dataclass
 from headway.firmware import _core
 
 WINDOW_US = 1_000_000
-RATE_PPM = 500  # a clock is slewed by this much at most
+SLEW_PPM = 500  # a clock is slewed by this much at most, against the count ...
+RATE_PPM = 800  # ... which drifts by 300 at most against the host's
 UNKNOWN_NS = 2**31 - 1
 
 
@@ -48,7 +50,8 @@ class RemoteClock:
     """What statuses say of a device's clock."""
 
     def __init__(self) -> None:
-        self._window: deque[tuple[int, int, int, int]] = deque()  # received, least, most, trip
+        # When it was received and when what it heard was sent; least, most; round trip.
+        self._window: deque[tuple[int, int, int, float, int]] = deque()
         self._status: _core.Status | None = None
 
     def note(self, status: _core.Status, received_us: int) -> None:
@@ -57,10 +60,13 @@ class RemoteClock:
             self._window.clear()  # it may have stepped until now
         self._status = status
         if status.heard_us:
-            least = status.sent_us - received_us - 1  # stamps are rounded down
-            most = status.sent_us - status.heard_age_us - status.heard_us + 1
-            trip = received_us - status.heard_us - status.heard_age_us
-            self._window.append((received_us, least, most, trip))
+            # All readings are rounded down: the host's, the device's count, and its clock at it.
+            age_us, heard_us = status.heard_age_us, status.heard_us
+            least = status.sent_us - received_us - 1
+            most = status.sent_us - age_us - heard_us + 2 + SLEW_PPM * 1e-6 * age_us
+            self._window.append(
+                (received_us, heard_us, least, most, received_us - heard_us - age_us)
+            )
 
     def state(self, now_us: int) -> ClockState:
         """As far as it is known at a time of the host's."""
@@ -69,10 +75,10 @@ class RemoteClock:
         status = self._status
         measured = offset = trip = None
         if self._window:
-            blur = [RATE_PPM * 1e-6 * (now_us - at) for at, *_ in self._window]
+            blur = [RATE_PPM * 1e-6 * (now_us + 1 - heard_us) for _, heard_us, *_ in self._window]
             pairs = list(zip(self._window, blur, strict=True))
-            least = max(least - b for (_, least, _, _), b in pairs)
-            most = min(most + b for (_, _, most, _), b in pairs)
+            least = max(least - b for (_, _, least, _, _), b in pairs)
+            most = min(most + b for (_, _, _, most, _), b in pairs)
             measured, offset = (least, most), (least + most) / 2
             trip = min(trip for *_, trip in self._window)
         if status is None:
