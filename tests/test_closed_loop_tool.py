@@ -150,7 +150,7 @@ def test_does_not_come_to_rest(cart: ClosedLoopRun) -> None:
     drift = np.column_stack((np.zeros(len(cart.arrays["truth_s"])), cart.arrays["truth_s"] * 0.1))
     arrays = {**cart.arrays, "truth_position": cart.arrays["truth_position"] + drift}
     arrays["truth_velocity"] = cart.arrays["truth_velocity"] + [0, 0.1]
-    with pytest.raises(AssertionError, match=r"^turn: still moves at 0\.0999 rad/s at the end, at"):
+    with pytest.raises(AssertionError, match=r"^turn: still moves at 0\.(1|099\d|100\d) rad/s"):
         dataclasses.replace(cart, arrays=arrays).assert_comes_to_rest()
     arrays = {**cart.arrays, "end_states": np.array([[7, 5]])}
     with pytest.raises(AssertionError, match=r"^turn: its device ends in COAST, not in HOLD\n"):
