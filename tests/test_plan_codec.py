@@ -17,6 +17,7 @@ INT32_MAX = (1 << 31) - 1
 SINKS = range(5)
 
 Stamps = tuple[int, int, int]
+NO_MARK = struct.pack("<HHq", 0, 0xFFFF, 0)  # number, width, least time: a width of none
 Tracks = dict[int, list[int]]
 
 
@@ -39,7 +40,8 @@ def deltas(points: list[int]) -> Iterator[int]:
 
 
 def head_of(stamps: Stamps, number: int, epoch: int, first: int, mask: int, count: int) -> bytes:
-    return struct.pack("<IqqIHqBB", *stamps, number, epoch, first, mask, count)
+    head = struct.pack("<Iqq", *stamps) + NO_MARK
+    return head + struct.pack("<IHqBB", number, epoch, first, mask, count)
 
 
 def layout(stamps: Stamps, number: int, epoch: int, first_knot: int, tracks: Tracks) -> bytes:
@@ -198,7 +200,7 @@ def test_plans_out_of_shape() -> None:
 
 def test_the_largest_plan_fits_and_one_byte_more_does_not() -> None:
     full = {s: [100] * 128 for s in SINKS}
-    assert len(encode((0, 0, 0), 1, 7, 0, full)) == 36 + 5 * 129  # the first point takes two bytes
+    assert len(encode((0, 0, 0), 1, 7, 0, full)) == 48 + 5 * 129  # the first point takes two bytes
     wide, still = [1 << 29, -(1 << 29)] * 64, [0] * 128
     spare = PAYLOAD_MAX - len(layout((0, 0, 0), 1, 7, 0, {0: wide, 1: still, 2: still}))
     assert 0 < spare < 120
@@ -216,12 +218,14 @@ def test_the_largest_plan_fits_and_one_byte_more_does_not() -> None:
 
 @given(stamps_us)
 def test_sync_layout(stamps: Stamps) -> None:
-    assert _core.sync_encode(stamps) == struct.pack("<Iqq", *stamps)
+    assert _core.sync_encode(stamps) == struct.pack("<Iqq", *stamps) + NO_MARK
+    mark = (7, 12, -5)
+    assert _core.sync_encode(stamps, mark)[20:] == struct.pack("<HHq", *mark)
 
 
 # ---- status
 
-HEAD = "<qIiiiqIBBBHIBiBBIqiiiiIIIIIIIIIiIB"
+HEAD = "<qIiiiqIHHqBBBHIBiBBIqiiiiIIIIIIIIIiIB"
 FLAGS = ("synced", "homed", "released")
 FAULT = (*("reason", "state", "boots", "time_us", "value", "limit", "position_pq", "torque_tq"),)
 CLOCK = ("sent_count_us", "least_error_ns", "most_error_ns", "rate_q32", "heard_us", "heard_age_us")
@@ -237,6 +241,7 @@ int64s = st.integers(-(1 << 62), 1 << 62)
 int32s = st.integers(-INT32_MAX - 1, INT32_MAX)
 heads = st.tuples(
     *(int64s, u32, int32s, int32s, int32s, int64s, u32),
+    *(epochs, epochs, int64s),
     *(u8, u8, st.integers(0, 7)),
     *(epochs, u32, u8, int32s),
     *(u8, u8, u32, int64s, int32s, int32s, int32s, int32s),
@@ -262,7 +267,7 @@ def fields_of(status: _core.Status) -> tuple[int, ...]:
     after = [getattr(status, name) for name in AFTER]
     clock = [getattr(status, name) for name in CLOCK]
     states = (status.state, status.refusal, flags)
-    return (status.sent_us, *clock, *states, *before, *fault, *after)
+    return (status.sent_us, *clock, *status.mark, *states, *before, *fault, *after)
 
 
 @given(heads, samples_of)
@@ -279,7 +284,7 @@ def test_status_is_read_as_laid_out(head: tuple[int, ...], samples: list[tuple[i
 
 @pytest.mark.parametrize("count", [32, 33, 255])
 def test_status_holds_32_samples(count: int) -> None:
-    payload = struct.pack(HEAD, *[0] * 33, count) + bytes(2 * count)
+    payload = struct.pack(HEAD, *[0] * 36, count) + bytes(2 * count)
     assert (_core.status_decode(payload) is not None) == (count <= 32)
 
 

@@ -156,10 +156,10 @@ class Watched:
 
     @staticmethod
     def _watched(carry: Any, fate: list[bool]) -> Any:
-        def watched(sent_us: int) -> int | None:
-            arrival_us: int | None = carry(sent_us)
-            fate.append(arrival_us is not None)
-            return arrival_us
+        def watched(sent_us: int, size_bytes: int) -> list[int]:
+            arrivals_us: list[int] = carry(sent_us, size_bytes)
+            fate.append(bool(arrivals_us))
+            return arrivals_us
 
         return watched
 

@@ -346,6 +346,7 @@ def nominal() -> tuple[Lockstep, list[Encoding]]:
         config_of(
             *("duration_s=1.2", "sim.plant={}", "sim.kill_host_at_s=1.0", "sim.compute_us=0"),
             *(f"sim.to_device={QUIET}", f"sim.to_host={QUIET}"),
+            *("sync.to_device_least_us=0", "sync.to_host_least_us=0"),
         ),
         CONFIGS,
     )

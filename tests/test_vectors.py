@@ -1591,6 +1591,9 @@ def test_samples_are_reported_twice() -> None:
                 lost += len(taken) - last >= 32
                 taken.append((v.number("time_us") + 1000 * i, wrapped(v.number("count") + i, 32)))
             assert v.answer == f"lost={lost}", v
+        elif v.word == "history-flush":
+            since = last = len(taken)
+            assert v.answer == f"taken={len(taken)}", v
         else:
             told = taken[since:][-32:]
             text = "".join(f"time_us={time} " for time, _ in told)

@@ -46,6 +46,7 @@ QUIET = "{delay_us: 0, jitter_us: 0, loss: 0}"
 EXPERIMENT = [
     *("mpc.enabled=false", "sim.compute_us=0", "task.frequency_Hz=1"),
     *(f"sim.to_device={QUIET}", f"sim.to_host={QUIET}"),
+    *("sync.to_device_least_us=0", "sync.to_host_least_us=0"),
     f"duration_s={SETTLE_S + WINDOW_MS * 1e-3 + 0.1}",
 ]
 PLANTS = {  # how the plant differs from its model; by dry friction a joint sticks at a milliradian

@@ -26,6 +26,7 @@ IDEAL = [
     "machine.axes.1.coulomb_Nm=0.15",
     "sim.to_device={delay_us: 0, jitter_us: 0, loss: 0}",
     "sim.to_host={delay_us: 0, jitter_us: 0, loss: 0}",
+    *("sync.to_device_least_us=0", "sync.to_host_least_us=0"),
     "sim.compute_us=0",
 ]
 SHIPPED_GAINS = ((120.0, 6.0), (60.0, 2.0))

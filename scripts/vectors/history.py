@@ -23,6 +23,13 @@ def histories(rng: Random) -> Iterator[str]:
             yield line("history-push", time_us=time_us, count=count, times=times)
             yield line("history-report")
     yield line("history", taken=0)
+    for before, after in ((0, 3), (1, 0), (5, 2), (RING + 3, 1), (3, RING + 1)):  # the clock steps
+        yield line("history-push", time_us=7, count=1, times=before)
+        yield line("history-flush")
+        yield line("history-push", time_us=1 << 50, count=9, times=after)
+        yield line("history-report")
+        yield line("history-report")
+    yield line("history", taken=0)
     for times in (5, RING - 5, 1, 1, 2, RING):  # without a report in between
         yield line("history-push", time_us=1 << 40, count=(1 << 31) - 99, times=times)
     yield line("history-report")

@@ -18,6 +18,11 @@ static void replay_history_push(void) {
     say_number("lost", history.lost);
 }
 
+static void replay_history_flush(void) {
+    history_flush(&history);
+    say_number("taken", history.taken);
+}
+
 static void replay_history_report(void) {
     struct sample *samples = (struct sample *)(void *)room(HISTORY_SAMPLES * sizeof *samples);
     int32_t reported = history_report(&history, samples), counts[HISTORY_SAMPLES];
@@ -31,6 +36,7 @@ static void replay_history_report(void) {
 const struct word history_words[] = {
     {"history", replay_history},
     {"history-push", replay_history_push},
+    {"history-flush", replay_history_flush},
     {"history-report", replay_history_report},
     {0, 0},
 };
