@@ -21,6 +21,7 @@ from clocks.exchanges import (
 )
 from clocks.firmware import BOUNDS, settings_of
 from headway.configs.load import load_config
+from headway.configs.schema import Sync
 from headway.devices.bus import Bus as Marks
 from headway.devices.settings import device_settings
 from headway.firmware import _core
@@ -66,6 +67,7 @@ def board_settings(
         least_of(channels.to_device, SYNC_BYTES), least_of(channels.to_host, STATUS_BYTES)
     )
     settings.sync = settings_of(method, least, tuned)
+    settings.dither_us = Sync().dither_us  # arm2's own wires need none
     settings.servo_period_us = PERIOD_US
     settings.neighbours, settings.ask_us = ports, ASK_US
     settings.peer_least_us = least_of(channels.to_device, REQUEST_BYTES)
@@ -99,7 +101,7 @@ def chain(
         wires = [Wire(PROFILES[profile].to_device, each, bus) for each in rng.spawn(2)]
         cables.append(Cable((End(board, DOWN), End(board + 1, UP)), (wires[0], wires[1])))
     host = _host(profile, 0, settings[0].key, bus, rng)
-    return Boards(settings, crystals, cables, rng.spawn(1)[0], [host])
+    return Boards(settings, crystals, cables, rng.spawn(1)[0], [host], None, POLL_US)
 
 
 def star(profile: str, boards: int, rng: np.random.Generator, marked: bool) -> Boards:
