@@ -6,7 +6,7 @@ What is promised of somebody who can sign anything, but sets no zero and lays no
 - the true position stays within the limits and three following limits beyond them. The monitor
   stops an axis that could not stop within one following limit beyond (ROOM), and brakes it there
   at once (OUTSIDE). What is further is the brake's and the average's: a brake takes its time to
-  engage, the speed is averaged over 8 periods, and the other axis may push. How far that goes is not
+  engage, the speed is averaged over 8 periods, the other axis may push. How far that goes is not
   computed on the board: it was measured (1.9 at most in 40 minutes of arm2 and cart; 3.3 while the
   brake still waited for a ramp);
 - the true speed stays below one and a half times its limit: 1.25 are watched, the rest is the
