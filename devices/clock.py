@@ -67,11 +67,15 @@ class RemoteClock:
             self._window.append(
                 (received_us, heard_us, least, most, received_us - heard_us - age_us)
             )
+        self._forget(received_us)
+
+    def _forget(self, now_us: int) -> None:
+        while self._window and now_us - self._window[0][0] > WINDOW_US:
+            self._window.popleft()
 
     def state(self, now_us: int) -> ClockState:
         """As far as it is known at a time of the host's."""
-        while self._window and now_us - self._window[0][0] > WINDOW_US:
-            self._window.popleft()
+        self._forget(now_us)
         status = self._status
         measured = offset = trip = None
         if self._window:

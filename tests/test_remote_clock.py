@@ -123,3 +123,12 @@ def test_what_was_measured_before_it_settled_is_forgotten() -> None:
     clock.note(status(sent_us=2500, heard_us=2400, heard_age_us=50), 2600)
     measured = clock.state(2600).measured_us
     assert measured is not None and measured[1] < 100
+
+
+def test_only_the_last_second_is_kept() -> None:
+    """A run lasts for hours, and nobody asks meanwhile."""
+    clock = RemoteClock()
+    for i in range(1000):
+        now_us = 10**9 + i * 4000
+        clock.note(status(heard_us=now_us - 500, sent_us=now_us - 100), now_us)
+    assert len(clock._window) == WINDOW_US // 4000 + 1
