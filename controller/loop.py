@@ -124,16 +124,13 @@ class Loop:
         points = outbox.points if in_time else None
         packets = []
         for device, remote in enumerate(self._remotes):
-            if not remote.established:
-                packets += [(device, packet) for packet in remote.hello_packets(sent_us)]
-            elif points is not None:
-                packets.append(
-                    (device, remote.plan_packet(outbox.first_knot, points[device], sent_us))
-                )
+            if remote.established and points is not None:
+                mine = [remote.plan_packet(outbox.first_knot, points[device], sent_us)]
             else:
-                packets.append((device, remote.sync_packet(sent_us)))
+                mine = remote.stamp_packets(sent_us)
             if (command := remote.command_packet()) is not None:
-                packets.append((device, command))
+                mine.append(command)
+            packets += [(device, packet) for packet in mine]
         for device, packet in packets:
             link.send(device, packet, sent_us)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))

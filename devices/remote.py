@@ -185,12 +185,11 @@ class Remote:
         """Whether there is a session, and the device has answered in it."""
         return self._session.established
 
-    def hello_packets(self, sent_us: int) -> list[bytes]:
-        """What asks for a session and, once the device has answered, proves that it is the host."""
-        proof = [self.sync_packet(sent_us)] if self._session.welcomed else []
-        return [self._session.hello(), *proof]
-
-    def sync_packet(self, sent_us: int) -> bytes:
-        """Seals stamps alone."""
-        payload = _core.sync_encode(self._stamps(sent_us), self._mark())
-        return self._session.seal(_core.FRAME_SYNC, payload)
+    def stamp_packets(self, sent_us: int) -> list[bytes]:
+        """What is sent when there is no plan: stamps alone. Until the device has answered in a
+        session it is asked for one; once it has welcomed that, stamps prove who the host is."""
+        packets = [] if self._session.established else [self._session.hello()]
+        if self._session.established or self._session.welcomed:
+            payload = _core.sync_encode(self._stamps(sent_us), self._mark())
+            packets.append(self._session.seal(_core.FRAME_SYNC, payload))
+        return packets

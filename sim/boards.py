@@ -67,10 +67,7 @@ class Host:
 
     def packets(self, now_us: int) -> list[bytes]:
         """What leaves now."""
-        sent_us = now_us + self.epoch_us
-        if not self.remote.established:
-            return self.remote.hello_packets(sent_us)
-        return [self.remote.sync_packet(sent_us)]
+        return self.remote.stamp_packets(now_us + self.epoch_us)
 
 
 class Boards:

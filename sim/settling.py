@@ -52,7 +52,6 @@ class Settling:
         for device, received_us, packet in link.receive(self._now_us):
             remotes[device].receive(packet, received_us)
         for device, remote in enumerate(remotes):
-            packets = [remote.sync_packet(self._now_us)] if remote.established else []
-            for packet in packets or remote.hello_packets(self._now_us):
+            for packet in remote.stamp_packets(self._now_us):
                 link.send(device, packet, self._now_us)
         return self._settle.tick(self._now_us)
