@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from headway.cli.changes import Changes
 from headway.cli.failure import ExitCode
 
 if TYPE_CHECKING:
@@ -24,10 +25,7 @@ def check(
     config: Path,
     /,
     *,
-    overrides: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY.PATH=VALUE", negative_iterable=()),
-    ] = None,
+    overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
     """Holds a config against what is known of drives, networks and motion, without running it.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from rich.console import Console
 
+from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, check_free, run_folder, stamp
 from headway.cli.progress import Bar
@@ -34,10 +35,7 @@ def run(
     duration: float | None = None,
     out: Path | None = None,
     seed: int | None = None,
-    overrides: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY.PATH=VALUE", negative_iterable=()),
-    ] = None,
+    overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     view: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
@@ -73,7 +71,6 @@ def run(
     """
     if view:
         check_display()
-    from headway.configs.load import ConfigError, load_config  # here: help should not wait for it
     from headway.configs.save import save_config
 
     changes = list(overrides or [])
@@ -81,10 +78,7 @@ def run(
         changes.append(f"duration_s={duration}")
     if seed is not None:
         changes.append(f"seed={seed}")
-    try:
-        checked = load_config(config, changes)
-    except ConfigError as error:
-        raise Failure(ExitCode.USAGE, str(error)) from error
+    checked = changed_config(config, changes)
     folder = out or RUNS / f"{checked.name}-{stamp()}"
     check_free(folder)
     with run_folder(folder) as made:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, validators
 
+from headway.cli.changes import Changes
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, check_free, run_folder, stamp
 
@@ -33,10 +34,7 @@ def sweep(
     seeds: Annotated[int, AT_LEAST_ONE] = 3,
     jobs: Annotated[int | None, AT_LEAST_ONE] = None,
     duration: float | None = None,
-    overrides: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY.PATH=VALUE", negative_iterable=()),
-    ] = None,
+    overrides: Changes = None,
     out: Path | None = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:

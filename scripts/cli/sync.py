@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
 
 if TYPE_CHECKING:
@@ -28,10 +29,7 @@ def sync(
     settled: float = 2.0,
     timeout: float = 30.0,
     seed: int | None = None,
-    overrides: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY.PATH=VALUE", negative_iterable=()),
-    ] = None,
+    overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     plot: Path | None = None,
 ) -> int:
@@ -64,13 +62,9 @@ def sync(
         Draws offsets and intervals over time into this file, as SVG, PNG or PDF by its name. Needs
         matplotlib.
     """
-    from headway.configs.load import ConfigError, load_config  # here: help should not wait for it
 
     changes = list(overrides or []) + ([] if seed is None else [f"seed={seed}"])
-    try:
-        checked = load_config(config, changes)
-    except ConfigError as error:
-        raise Failure(ExitCode.USAGE, str(error)) from error
+    checked = changed_config(config, changes)
     for name, value in (("--settled", settled), ("--timeout", timeout)):
         if not 0 < value <= 3600:
             raise Failure(ExitCode.USAGE, f"{name} {value:g}: give seconds, up to 3600")
