@@ -148,9 +148,10 @@ struct mark sync_date(const struct sync *sync, const struct sync_settings *setti
     struct bounds_limits limits = limits_of(settings);
     struct mark mark = {number, MARK_OPEN, 0};
     int64_t ticks_us = clock_ticks(clock, count_us), base_us = sync->bounds.base_us + ticks_us;
-    int64_t ahead_us =
-        ticks_us - sync->bounds.ticks_us; // of what is known: far, if a counter jumps
-    if (!sync->begun || !bounds_closed(&sync->bounds) || ahead_us > DATE_US || ahead_us < -DATE_US)
+    int64_t ahead_us = ticks_us - sync->bounds.ticks_us; // of what is known
+    if (!sync->begun || !bounds_closed(&sync->bounds))
+        return mark;
+    if (ahead_us > DATE_US || ahead_us < -DATE_US) // as after a counter's jump
         return mark;
     int64_t lower_us = bounds_lower_at_q16(&sync->bounds, &limits, ticks_us) >> 16;
     int64_t upper_us = (bounds_upper_at_q16(&sync->bounds, &limits, ticks_us) >> 16) + 1 + STAMP_US;
