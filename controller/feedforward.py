@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.controller.mpc import Motion
+from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction
 from headway.controller.reference import Reference
 

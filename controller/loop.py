@@ -20,7 +20,8 @@ from headway.configs.schema import Config
 from headway.controller.estimator import Estimate, Estimator, Sample
 from headway.controller.feedforward import Feedforward
 from headway.controller.gains import Gains
-from headway.controller.mpc import Motion, Mpc
+from headway.controller.motion import Motion
+from headway.controller.mpc import Mpc
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.recorder import Recorder
 from headway.controller.reference import ENTRY_S, Entry, Reference
@@ -84,12 +85,15 @@ class Loop:
             limits.update(more)
         self._commitment = Commitment(remotes, self._units, gains, config.loop)
         self._encoder = Encoder(self._prediction, self._units, gains, config.loop)
-        self._mpc = Mpc(config, self._prediction) if config.mpc.enabled else None
+        self._mpc = Mpc(config, self._prediction, self._encoder) if config.mpc.enabled else None
         self._feedforward = Feedforward(self._prediction, config.mpc.feedforward == "model")
         nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
         self._node_us: NDArray[np.int64] = nodes.astype(np.int64)
         self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
         self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
+        self._commit_knot: int | None = None  # of the last tick
+        self._prepared: int | None = None  # commit knot of the problem that is ready
+        self._disturbance = np.zeros(self._prediction.n)  # as last estimated
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
         self.phase = Phase.HELLO
@@ -119,7 +123,7 @@ class Loop:
 
     def write(self, link: Link, outbox: Outbox, sent_us: int) -> bool:
         """Seals and sends what a tick decided. Returns False for a plan that took too long: then
-        only stamps are sent."""
+        only stamps are sent. What can be done for the next tick before its estimate is done."""
         in_time = sent_us < outbox.too_late_us
         points = outbox.points if in_time else None
         packets = []
@@ -134,6 +138,8 @@ class Loop:
         for device, packet in packets:
             link.send(device, packet, sent_us)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))
+        if self._commit_knot is not None:
+            self._prepare(self._commit_knot + 1)
         return in_time
 
     def _start_up(self, knot: int) -> Outbox:
@@ -152,31 +158,30 @@ class Loop:
         return outbox
 
     def _run(self, tick: Tick, knot: int) -> Outbox:
-        commit_knot = knot + self._margin
+        commit_knot = self._commit_knot = knot + self._margin
         began = time.perf_counter()
         tick.now, tick.commit = self._estimate(tick.now_us, knot)
         tick.estimate_us = (time.perf_counter() - began) * 1e6
+        self._disturbance = tick.commit.z[2 * self._prediction.n :]
         self._check_devices(tick)
         if any(remote.silent(tick.now_us) for remote in self._remotes):
             return Outbox()  # nobody gets a new plan: all coast to rest together
         self._enter_anew(commit_knot)
-        motion = self._plan(tick, commit_knot)
-        outbox = self._repeat(knot)
-        if motion is None:
-            return outbox
         began = time.perf_counter()
-        n = self._prediction.n
-        start, disturbance = tick.commit.state(n), tick.commit.z[2 * n :]
-        points, rolled = self._encoder.plan(motion, self._remotes, commit_knot, start, disturbance)
-        if self._passes(points, rolled, commit_knot):
-            self._last = (commit_knot, rolled)
-            tick.accepted, tick.motion = True, rolled
-            departure = self._encoder.departure(motion, points)[FIXED_KNOTS + 2 :]
-            tick.encoding_error = np.abs(departure).max(axis=0)
-            tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
-            outbox = self._join(knot, commit_knot, points)
+        plan = self._plan(tick, commit_knot)
+        passed = plan is not None and self._passes(*plan, commit_knot)
         tick.encode_us = (time.perf_counter() - began) * 1e6
-        return outbox
+        if tick.solution is not None:
+            tick.encode_us -= tick.solution.solve_us
+        if plan is None or not passed:
+            return self._repeat(knot)
+        points, rolled = plan
+        self._last = (commit_knot, rolled)
+        tick.accepted, tick.motion = True, rolled
+        departure = self._encoder.departure()[FIXED_KNOTS + 2 :]
+        tick.encoding_error = np.abs(departure).max(axis=0)
+        tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
+        return self._join(knot, commit_knot, points)
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
         now = self.estimator.update(self.samples, now_us, self._commitment)
@@ -231,22 +236,33 @@ class Loop:
         turns = whole_turns(self._config.machine.axes, way)
         self._reference = Entry(self._task, position, start_s, ENTRY_S, turns)
 
-    def _plan(self, tick: Tick, commit_knot: int) -> Motion | None:
+    def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
+        """Points by axis, and their roll-out, if there is a plan."""
         commit_us = commit_knot * self._knot_us - self.start_us
         assert tick.commit is not None
+        n = self._prediction.n
+        state = tick.commit.state(n)
         if self._mpc is None:
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
-            return self._feedforward.plan(self._reference, knots_s)
+            motion = self._feedforward.plan(self._reference, knots_s)
+            return self._encoder.plan(motion, self._remotes, commit_knot, state, self._disturbance)
         position, velocity, _ = self._reference.at(
             (commit_us + self._node_us.astype(np.float64)) * 1e-6
         )
-        n = self._prediction.n
-        state = tick.commit.state(n)
         tracks = self._commitment.at(np.array([commit_knot * self._knot_us]), state[:n])
         torque = self._prediction.law.torque(state[None], tracks)[0]
-        guess = self._guess(commit_knot)
-        tick.solution = self._mpc.solve(guess, tick.commit, np.hstack((position, velocity)), torque)
-        return tick.solution.motion
+        if self._prepared != commit_knot:  # the first tick, or one was left out
+            self._prepare(commit_knot)
+        reference = np.hstack((position, velocity))
+        tick.solution = solution = self._mpc.solve(
+            tick.commit, reference, torque, self._remotes, commit_knot
+        )
+        return solution.plan
+
+    def _prepare(self, commit_knot: int) -> None:
+        if self._mpc is not None:
+            self._mpc.prepare(self._guess(commit_knot), self._disturbance)
+            self._prepared = commit_knot
 
     def _guess(self, commit_knot: int) -> Motion:
         """The last roll-out from the new commit knot on, extended at rest."""

@@ -1,4 +1,10 @@
-"""One tick of model predictive control: from the estimate at the commit knot to a plan."""
+"""One tick of model predictive control: from the estimate at the commit knot to a plan.
+
+A tick is two calls of compiled code. `prepare` does all that can be done before the estimate is
+known: the dynamics are linearized along the last plan, and the solver factorizes. `solve` takes the
+estimate in, solves, judges the answer and encodes it (the two phases of the real-time iteration:
+Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005).
+"""
 
 from __future__ import annotations
 
@@ -7,165 +13,118 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import osqp
+import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from headway.configs.schema import Config
+from headway.controller._tick import Osqp, Tick
 from headway.controller.estimator import Estimate
+from headway.controller.motion import Motion
 from headway.controller.ocp import Limits, Ocp
 from headway.controller.prediction import Prediction
+from headway.controller.tracks import Encoder
+from headway.devices.remote import Points, Remote
+from headway.models.codegen import Array, Call, compile_functions
 
-Array = NDArray[np.float64]
-
-SANE_MAX = 1e6  # OSQP marks failure with 2143289344.0, which is finite
-
-
-@dataclass(frozen=True)
-class Motion:
-    """A planned motion at the knots of the horizon: (K+1, n) each, SI; ends at rest."""
-
-    position: Array
-    velocity: Array
-    torque: Array  # of the motors
+OSQP_SIGINT = 10  # a Ctrl-C that OSQP has caught
+TOLERANCE = 1e-3  # in scaled units: of 1e-3 mrad, and of a thousandth of what the problem moves by
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What the solver did; `motion` is None where its answer is not to be used."""
+    """What the solver did."""
 
-    motion: Motion | None
-    status: int  # OSQP's own
+    status: int  # the solver's own
     iterations: int
-    residual: float
-    linearize_us: float  # wall clock, for the record only
+    residual: float  # largest violation of a constraint, in parts of its tolerance
+    # If its answer is to be used: points by axis, from the knot before the commit knot on, and what
+    # the servos make of them.
+    plan: tuple[list[Points], Motion] | None
+    prepare_us: float  # wall clock, for the record only; before the tick
     solve_us: float
 
 
 class Mpc:
     """Solves the optimal control problem once a tick, warm-started."""
 
-    def __init__(self, config: Config, prediction: Prediction) -> None:
-        self._ocp = ocp = Ocp(config, Limits.of(config))
-        self._prediction = prediction
-        self._knots = config.mpc.horizon_us // config.loop.knot_us
-        self._stride = self._knots // config.mpc.intervals
-        self._interpolate = _Interpolation(config.mpc.intervals, self._stride, ocp.interval_s)
-        self._solver = osqp.OSQP()
-        self._solver.setup(
-            ocp.hessian,
-            ocp.gradient,
-            ocp.constraints,
-            ocp.lower,
-            ocp.upper,
-            eps_abs=1e-4,  # in scaled units: 1e-4 mrad
-            eps_rel=1e-4,
-            scaling=0,  # the problem is scaled already
-            max_iter=config.mpc.max_iterations,
-            check_termination=10,
-            adaptive_rho=True,
-            adaptive_rho_interval=25,  # in iterations: the same on every machine
-            polishing=False,
-            verbose=False,
-            warm_starting=True,
+    def __init__(self, config: Config, prediction: Prediction, encoder: Encoder) -> None:
+        ocp, n = Ocp(config, Limits.of(config)), prediction.n
+        knots = config.mpc.horizon_us // config.loop.knot_us
+        self._stride = knots // config.mpc.intervals
+        self._prediction, self.encoder = prediction, encoder
+        library = compile_functions("mpc", ocp.functions(knots))
+        # Arrays by name: what one function writes others read (ocp.py says what each is).
+        x, u = (np.zeros((rows, ocp.intervals + 1), order="F") for rows in (2 * n, n))
+        self._pool = pool = {"x": x, "u": u, "x0": x[:, :-1], "u0": u[:, :-1], "u1": u[:, 1:]}
+        pool |= {name: encoder.pool[name] for name in ("position", "velocity", "torque")}
+        pool["start"] = encoder.pool["x"]
+        pool["parameters"] = ocp.parameters[:, None]
+        pool["constant"] = ocp.constraints.data[:, None]
+        pool["scale"] = ocp.dynamics_scale.reshape(-1, 1)
+        linearize = prediction.call("linearize", pool)
+        pool["dt"][...] = ocp.interval_s
+        assemble, vectors, judge = (
+            Call(library, name, pool) for name in ("assemble", "vectors", "judge")
         )
-        self._idle = np.zeros(ocp.size)
+        pool["entries"][...] = pool["constant"]
+        solver = Osqp(
+            *_by_columns(ocp.hessian),
+            pool["gradient"][:, 0],
+            pool["entries"][:, 0],
+            *_by_columns(ocp.constraints)[1:],
+            pool["lower"][:, 0],
+            pool["upper"][:, 0],
+            config.mpc.max_iterations,
+            TOLERANCE,
+        )
+        before = [linearize.bound, assemble.bound]
+        answer = judge.bound, pool["residual"], encoder.encoding
+        self._tick = Tick(before, solver, vectors.bound, pool["z"], *answer)
+        self._along = np.zeros((knots + 1, n))  # the positions of the guess
+        self._gravity = np.zeros(n)
+        self._prepare_us = 0.0
 
-    def solve(
-        self, guess: Motion, start: Estimate, reference: Array, committed_torque: Array
-    ) -> Solution:
-        """A motion from `start` on.
+    def prepare(self, guess: Motion, disturbance: Array) -> None:
+        """Linearizes along a motion that begins at the next commit knot, and factorizes.
 
-        guess: the motion to linearize along, at the knots from the commit knot on; reference:
-        (N+1, 2n) states at the nodes; committed_torque: (n,) motor torque at the commit knot.
+        disturbance: (n,), as far as it is known now.
         """
         began = time.perf_counter()
-        ocp, n = self._ocp, self._ocp.n
-        x = np.hstack((guess.position, guess.velocity))[:: self._stride]
-        u = guess.torque[:: self._stride]
-        disturbance = start.z[2 * n :]
-        linearized = self._linearize(x, u, disturbance)
-        holding = self._prediction.holding(x[-1, :n], disturbance)
-        clipped = np.clip(reference[:, :n], *ocp.soft_limits(start.z[:n]))
-        still = np.where(clipped == reference[:, :n], reference[:, n:], 0.0)
-        target = np.hstack((clipped, still))
-        ocp.update(x, u, linearized, start.state(n), target, committed_torque, holding)
-        assembled = time.perf_counter()
-        z, status, iterations = self._run_solver()
-        solved = time.perf_counter()
-        residual, motion = np.inf, None
-        if z is not None:
-            residual = ocp.residual(z)
-            if residual <= 1.0:
-                motion = self._motion(x, u, z)
-        split = (assembled - began) * 1e6, (solved - assembled) * 1e6
-        return Solution(motion, status, iterations, residual, *split)
+        self._along = guess.position
+        nodes, pool = slice(None, None, self._stride), self._pool
+        n = len(disturbance)
+        pool["x"][:n], pool["x"][n:] = guess.position[nodes].T, guess.velocity[nodes].T
+        pool["u"][...], pool["assumed"][:, 0] = guess.torque[nodes].T, disturbance
+        self._gravity = self._prediction.holding(guess.position[-1], np.zeros(n))
+        self._tick.prepare()
+        self._prepare_us = (time.perf_counter() - began) * 1e6
 
-    def _linearize(self, x: Array, u: Array, disturbance: Array) -> list[Array]:
-        call = self._prediction.linearize
-        call.inputs[0][...] = x[:-1].T
-        call.inputs[1][...] = u[:-1].T
-        call.inputs[2][...] = u[1:].T
-        call.inputs[3][:, 0] = disturbance
-        call.inputs[4][0, 0] = self._ocp.interval_s
-        return call.run()
+    def solve(
+        self,
+        start: Estimate,
+        reference: Array,
+        committed_torque: Array,
+        remotes: list[Remote],
+        commit_knot: int,
+    ) -> Solution:
+        """A plan from the commit knot on, around the motion that was prepared for it.
 
-    def _run_solver(self) -> tuple[Array | None, int, int]:
-        """The QP's answer, or None where the flag or the numbers are bad (design, invariant 8);
-        OSQP's status and its iterations."""
-        ocp = self._ocp
-        self._solver.update(q=ocp.gradient, l=ocp.lower, u=ocp.upper, Ax=ocp.constraints.data)
-        self._solver.warm_start(x=self._idle)
-        result = self._solver.solve(raise_error=False)
-        if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+        start: the estimate there; reference: (N+1, 2n) states at the nodes; committed_torque: (n,)
+        motor torque there.
+        """
+        pool, n = self._pool, len(committed_torque)
+        d = start.z[2 * n :]
+        pool["d"][:, 0], pool["reference"][...] = d, reference.T
+        pool["committed"][:, 0], pool["holding"][:, 0] = committed_torque, self._gravity - d
+        self.encoder.commit(remotes, commit_knot, self._along, start.state(n), d)
+        done = self._tick.feedback()
+        if done.status == OSQP_SIGINT:
             signal.raise_signal(signal.SIGINT)  # OSQP caught a Ctrl-C that is not for it
-        good = result.info.status_val in (
-            osqp.SolverStatus.OSQP_SOLVED,
-            osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
-            osqp.SolverStatus.OSQP_MAX_ITER_REACHED,  # the residual below decides
-        )
-        z = result.x
-        usable = good and bool(np.all(np.isfinite(z))) and float(np.max(np.abs(z))) < SANE_MAX
-        return (z if usable else None), int(result.info.status_val), int(result.info.iter)
-
-    def _motion(self, x: Array, u: Array, z: Array) -> Motion:
-        n, ocp = self._ocp.n, self._ocp
-        z = z * ocp.column_scale
-        nodes = x + z[ocp.states].reshape(-1, 2 * n)
-        torques = u + z[ocp.torques].reshape(-1, n)
-        position, velocity = self._interpolate.states(nodes[:, :n], nodes[:, n:])
-        limit = ocp.limits.torque[0]  # the spline may swing beyond its nodes
-        torque = np.clip(self._interpolate.torques(torques), -limit, limit)
-        return Motion(position, velocity, torque)
+        plan = (self.encoder.points(), self.encoder.rolled()) if done.accepted else None
+        times = self._prepare_us, done.solve_us
+        return Solution(done.status, done.iterations, done.residual, plan, *times)
 
 
-class _Interpolation:
-    """From nodes to knots: cubic Hermite for states; for torques the C2 cubic spline, which a track
-    can represent, running out flat into the last interval, where the machine rests."""
-
-    def __init__(self, intervals: int, stride: int, interval_s: float) -> None:
-        s = np.arange(stride) / stride
-        self._value = np.stack(
-            [(1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s**2 * (3 - 2 * s), s**2 * (s - 1)]
-        )
-        self._slope = np.stack(
-            [6 * s * (s - 1), (1 - s) * (1 - 3 * s), 6 * s * (1 - s), s * (3 * s - 2)]
-        )
-        self._h = interval_s
-        nodes = np.arange(intervals)
-        spline = CubicSpline(
-            nodes, np.eye(intervals, intervals + 1), bc_type=("natural", "clamped")
-        )
-        knots = np.arange(intervals * stride + 1) / stride
-        self._spline: Array = spline(np.minimum(knots, intervals - 1))
-
-    def states(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Positions and velocities at the knots."""
-        corners = np.stack([q[:-1], self._h * v[:-1], q[1:], self._h * v[1:]])
-        position = np.einsum("cs,cin->isn", self._value, corners).reshape(-1, q.shape[1])
-        velocity = np.einsum("cs,cin->isn", self._slope / self._h, corners).reshape(-1, q.shape[1])
-        return np.vstack((position, q[-1])), np.vstack((velocity, v[-1]))
-
-    def torques(self, u: Array) -> Array:
-        """Torques at the knots."""
-        return self._spline @ u
+def _by_columns(matrix: sp.csc_matrix) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Entries, their rows, and where each column begins."""
+    return matrix.data, matrix.indices.astype(np.int64), matrix.indptr.astype(np.int64)

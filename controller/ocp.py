@@ -18,13 +18,17 @@ axis has none.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from headway.configs.schema import Config
 from headway.configs.section import by_axis
+from headway.models.codegen import named_function
 
 Array = NDArray[np.float64]
 
@@ -43,6 +47,9 @@ UNBOUNDED = 1e20
 # share of their limit.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE_SHARE = 3e-4, 1e-2, 5e-3
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
+TORQUE_FLOOR = (
+    2e-6  # times the torque step weight, on the torque itself: the problem has one solution
+)
 
 
 @dataclass(frozen=True)
@@ -86,7 +93,11 @@ class Limits:
 
 
 class Ocp:
-    """The QP's matrices, whose sparsity never changes, and its vectors, tick by tick."""
+    """The QP's constant parts, and as CasADi expressions what fills in the others.
+
+    Expressions have a column for each node. `parameters` are their last argument: weights, limits
+    and scales, so that these need no compiler.
+    """
 
     def __init__(self, config: Config, limits: Limits) -> None:
         mpc = config.mpc
@@ -106,20 +117,43 @@ class Ocp:
         self._state_weight = np.concatenate(weights)
         self._start_weight = np.array(by_axis(mpc.torque_start_weight, n))
         self._soft_weight = np.maximum(by_axis(mpc.soft_weight, n), 1.0)
-        step_weight = np.array(by_axis(mpc.torque_step_weight, n))
-        self.hessian = self._build_hessian(step_weight)
-        torque = np.array([a.effort_limit for a in config.machine.axes])
-        self._build_constraints(torque)
-        self._scale(torque)
+        self._step_weight = np.array(by_axis(mpc.torque_step_weight, n))
+        self._effort = np.array([a.effort_limit for a in config.machine.axes])
+        self.hessian = self._build_hessian()
+        self._build_constraints()
+        self._scale()
+        self._values = self._parameter_values()  # by name, two-dimensional
+        self.parameters = np.concatenate([v.ravel(order="F") for v in self._values.values()])
+        self._vector = ca.MX.sym("parameters", len(self.parameters))
 
-    def _scale(self, torque: Array) -> None:
+    def _parameter_values(self) -> dict[str, Array]:
+        limits = self.limits
+        return {
+            "weight": self._weight[:, None],
+            "state_weight": self._state_weight[:, None],
+            "step_weight": self._step_weight[:, None],
+            "start_weight": self._start_weight[:, None],
+            "effort": self._effort[:, None],
+            "torque": limits.torque.T,
+            "velocity": limits.velocity[:, None],
+            "change": limits.acceleration[:, None] * self.interval_s,
+            "soft_min": limits.soft_min[:, None],
+            "soft_max": limits.soft_max[:, None],
+            "approach_s": limits.approach_s[:, None],
+            "column_scale": self._column_scale[:, None],
+            "row_scale": self._row_scale[:, None],
+        }
+
+    def _scale(self) -> None:
         """Variables in units of one over the root of their weight (torques: their limit), rows of
         the dynamics likewise. Found by trying: OSQP then needs 30 to 70 iterations without a
         scaling of its own, where it stops at 200 with it."""
         n, nodes = self.n, self.intervals + 1
         state = 1 / np.sqrt(np.maximum(self._state_weight, 1.0))
         slack = 1 / np.sqrt(self._soft_weight)
-        self.column_scale = np.concatenate((np.tile(state, nodes), np.tile(torque, nodes), slack))
+        self._column_scale = np.concatenate(
+            (np.tile(state, nodes), np.tile(self._effort, nodes), slack)
+        )
         self._row_scale = np.ones(self.rows)
         self._row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
         self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:], 2)
@@ -127,31 +161,30 @@ class Ocp:
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
         self._row_scale[self._soft_row :] = np.tile(soft[self._bounded], 2 * self.intervals)
-        columns = sp.diags_array(self.column_scale)
+        columns = sp.diags_array(self._column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
-        entry_scale = self._row_scale[self.constraints.indices] * self.column_scale[of_column]
+        entry_scale = self._row_scale[self.constraints.indices] * self._column_scale[of_column]
         self.constraints.data *= entry_scale
-        self._dynamics_scale = entry_scale[self._dynamics_place]
+        self.dynamics_scale = entry_scale[self._dynamics_place]
 
-    def _build_hessian(self, step_weight: Array) -> sp.csc_matrix:
+    def _build_hessian(self) -> sp.csc_matrix:
         states = np.outer(self._weight, self._state_weight).ravel() + 1e-3
         shape = (self.intervals, self.intervals + 1)
         difference = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=shape)
-        smooth = sp.diags_array(1 + STOP_SMOOTHNESS * (1 - self._weight[1:]))
+        smooth = sp.diags_array(self._smoothness(self._weight[1:]))
         ends = np.zeros(self.intervals + 1)
         ends[[0, -2, -1]] = 1.0
-        steps = difference.T @ smooth @ difference + 2e-6 * sp.eye_array(self.intervals + 1)
-        torques = sp.kron(steps, sp.diags_array(step_weight)) + sp.kron(
+        steps = difference.T @ smooth @ difference + TORQUE_FLOOR * sp.eye_array(self.intervals + 1)
+        torques = sp.kron(steps, sp.diags_array(self._step_weight)) + sp.kron(
             sp.diags_array(ends), sp.diags_array(self._start_weight)
         )
-        self._torque_hessian = sp.csr_matrix(2 * torques)
         slacks = sp.diags_array(self._soft_weight)
         blocks = sp.block_diag([sp.diags_array(states), torques, slacks])
         return sp.csc_matrix(sp.triu(2 * blocks))
 
-    def _build_constraints(self, torque_limit: Array) -> None:
-        """One COO entry list; entries of the dynamics are remembered to be overwritten."""
+    def _build_constraints(self) -> None:
+        """One COO entry list; entries of the dynamics are remembered, to be filled in each tick."""
         n, count = self.n, self.intervals
         rows: list[NDArray[np.int64]] = []
         columns: list[NDArray[np.int64]] = []
@@ -171,7 +204,7 @@ class Ocp:
 
         put(0, 0, np.eye(2 * n))
         row = 2 * n
-        for i in range(count):  # linearized below, in `update`
+        for i in range(count):  # linearized, see `_assemble`
             put(row, state(i), np.full((2 * n, 2 * n), np.nan))
             put(row, torque(i), np.full((2 * n, n), np.nan))
             put(row, torque(i + 1), np.full((2 * n, n), np.nan))
@@ -180,13 +213,12 @@ class Ocp:
         for i in (count - 1, count):
             put(row, state(i) + n, np.eye(n))
             row += n
-        self._torque_row = self.equalities = row
+        self.equalities = row
         put(row, self.torques.start, np.eye((count + 1) * n))
-        row = self._velocity_row = row + (count + 1) * n
+        row += (count + 1) * n
         for i in range(1, count + 1):
             put(row, state(i) + n, np.eye(n))
             row += n
-        self._acceleration_row = row
         for i in range(count):
             put(row, state(i) + n, -np.eye(n))
             put(row, state(i + 1) + n, np.eye(n))
@@ -200,12 +232,6 @@ class Ocp:
                 put(row, self.slacks.start, -own)
                 row += len(own)
         self.rows = row
-        self._tolerance = np.full(row, VELOCITY_TOLERANCE)
-        states = np.arange(2 * n * (count + 1))
-        self._tolerance[states[states % (2 * n) < n]] = POSITION_TOLERANCE
-        self._tolerance[self._torque_row : self._velocity_row] = np.tile(
-            TORQUE_TOLERANCE_SHARE * torque_limit, count + 1
-        )
         entries = np.concatenate(values)
         order = sp.csc_matrix(  # of the entries' numbers
             (np.arange(1, len(entries) + 1), (np.concatenate(rows), np.concatenate(columns))),
@@ -219,81 +245,212 @@ class Ocp:
         self._dynamics_place = place[np.isnan(entries)].reshape(count, -1)
         data[np.isnan(data)] = 1.0  # anything but zero, so that the entries are kept
         self.constraints = sp.csc_matrix((data, order.indices, order.indptr), shape=order.shape)
-        self.lower, self.upper = np.full(row, -UNBOUNDED), np.full(row, UNBOUNDED)
-        self.gradient = np.zeros(self.size)
 
-    def update(
-        self,
-        x: Array,
-        u: Array,
-        linearized: list[Array],
-        start: Array,
-        reference: Array,
-        committed: Array,
-        holding: Array,
-    ) -> None:
-        """Fills matrices and vectors around a guess.
+    def functions(self, knots: int) -> list[ca.Function]:
+        """What a tick computes of the problem, for a horizon of `knots`:
 
-        x: (N+1, 2n) and u: (N+1, n), the guess; linearized: [F, A, B0, B1] of `linearize`;
-        start: (2n,), the state at the commit knot; reference: (N+1, 2n); committed and holding:
-        (n,), the torques that the plan should begin and end with.
+        assemble  the linearized intervals to the constraints' entries
+        vectors   what the estimate decides: gradient, lower and upper bounds
+        judge     an answer to its residual and to its motion at the knots
         """
+        return [self._assemble(), self._vectors(), self._judge(knots)]
+
+    def _assemble(self) -> ca.Function:
+        """a, b0, b1 (intervals side by side), constant and scale of the entries to all entries."""
         n, count = self.n, self.intervals
-        after, a, b0, b1 = linearized
-        blocks = [  # side by side as the compiled function gives them, one row an interval here
-            -part.reshape(2 * n, count, -1).transpose(1, 0, 2).reshape(count, -1)
-            for part in (a, b0, b1)
+        a, b0, b1 = self._linearized()
+        # The generated code has them column by column; in the list they stand row by row.
+        of_a = np.arange(a.numel()).reshape(count, 2 * n, 2 * n).transpose(0, 2, 1)
+        of_b = np.arange(b0.numel()).reshape(count, n, 2 * n).transpose(0, 2, 1)
+        parts = (0, of_a), (a.numel(), of_b), (a.numel() + b0.numel(), of_b)
+        source = np.hstack([(first + part).reshape(count, -1) for first, part in parts])
+        constant = ca.MX.sym("constant", len(self.constraints.data))
+        scale = ca.MX.sym("scale", source.size)
+        blocks = ca.vertcat(ca.vec(a), ca.vec(b0), ca.vec(b1))
+        entries = ca.MX(constant)
+        entries[self._dynamics_place.ravel().tolist()] = -scale * blocks[source.ravel().tolist()]
+        inputs = {"a": a, "b0": b0, "b1": b1, "constant": constant, "scale": scale}
+        return named_function("assemble", inputs, {"entries": entries})
+
+    def _vectors(self) -> ca.Function:
+        """x, u: the guess; after: linearized along it, for the disturbance `assumed`; start (2n,):
+        the state at the commit knot, d: the disturbance; reference (2n, N+1); committed, holding
+        (n,): the torques that the plan should begin and end with. To the vectors, and to the
+        torque around which they are.
+        """
+        n, count, p = self.n, self.intervals, self._parameters()
+        (x, linearized), after = self._nodes(), ca.MX.sym("after", 2 * n, count)
+        start, reference = ca.MX.sym("start", 2 * n), ca.MX.sym("reference", 2 * n, count + 1)
+        assumed, d = ca.MX.sym("assumed", n), ca.MX.sym("d", n)
+        committed, holding = ca.MX.sym("committed", n), ca.MX.sym("holding", n)
+
+        # The same motion under another disturbance takes as much less torque: nothing else changes.
+        u = linearized - (d - assumed)
+        q, v, change = x[:n, :], x[n:, :], x[n:, 1:] - x[n:, :-1]
+        equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(v[:, -2:])
+        all_along = ca.DM.ones(1, count)
+        pairs = (
+            (u, p["torque"]),
+            (v[:, 1:], p["velocity"] @ all_along),
+            (change, p["change"] @ all_along),
+        )
+        soft_min, soft_max = self._soft_limits(p, start[:n])
+        ahead = q + v * p["approach_s"]
+        soft = soft_max - ahead, ahead - soft_min
+        room = [ca.vec(side[self._bounded.tolist(), 1:]) for side in soft]
+        lower = [*equal, *(ca.vec(-limit - value) for value, limit in pairs)]
+        upper = [*equal, *(ca.vec(limit - value) for value, limit in pairs), *room]
+        free = ca.DM.ones(sum(side.numel() for side in room)) * -UNBOUNDED
+
+        clipped = ca.fmin(ca.fmax(reference[:n, :], soft_min), soft_max)
+        still = ca.if_else(clipped == reference[:n, :], reference[n:, :], 0)
+        error = (x - ca.vertcat(clipped, still)) * p["state_weight"] * _rows(p["weight"], 2 * n)
+        ends = ca.horzcat(u[:, 0] - committed, ca.MX(n, count - 2), u[:, -2:] - holding)
+        step = (u[:, 1:] - u[:, :-1]) * _rows(self._smoothness(p["weight"][1:]), n)
+        none = ca.MX(n, 1)
+        steps = ca.horzcat(none, step) - ca.horzcat(step, none) + TORQUE_FLOOR * u
+        torque = steps * p["step_weight"] + ends * p["start_weight"]
+        gradient = ca.vertcat(2 * ca.vec(error), 2 * ca.vec(torque), none)
+        inputs = {
+            "x": x, "u": linearized, "after": after, "assumed": assumed,
+            "start": start, "d": d, "reference": reference, "committed": committed,
+            "holding": holding, "parameters": self._vector,
+        }  # fmt: skip
+        outputs = {
+            "gradient": gradient * p["column_scale"],
+            "lower": ca.vertcat(ca.vertcat(*lower) * p["row_scale"][: self._soft_row], free),
+            "upper": ca.vertcat(*upper) * p["row_scale"],
+            "around": u,
+        }
+        return named_function("vectors", inputs, outputs)
+
+    def _judge(self, knots: int) -> ca.Function:
+        """z: an answer; x, around, a, b0, b1, lower, upper as above; to its residual, and to
+        position, velocity and torque at the knots (n, K+1).
+
+        The residual is the largest violation of any constraint but the soft ones, in parts of its
+        tolerance: up to one is good. It is evaluated on the blocks, not on the solver's matrix.
+        """
+        n, count, p = self.n, self.intervals, self._parameters()
+        (x, u), (a, b0, b1) = self._nodes(), self._linearized()
+        z = ca.MX.sym("z", self.size)
+        rows = self._soft_row
+        lower, upper = ca.MX.sym("lower", self.rows), ca.MX.sym("upper", self.rows)
+        unscaled = z * p["column_scale"]
+        dx = ca.reshape(unscaled[self.states], 2 * n, count + 1)
+        du = ca.reshape(unscaled[self.torques], n, count + 1)
+        intervals = zip(
+            *(ca.horzsplit(part, 2 * n if part is a else n) for part in (a, b0, b1)), strict=True
+        )
+        defects = [
+            dx[:, i + 1] - a_i @ dx[:, i] - b0_i @ du[:, i] - b1_i @ du[:, i + 1]
+            for i, (a_i, b0_i, b1_i) in enumerate(intervals)
         ]
-        dynamics = np.concatenate(blocks, axis=1)
-        self.constraints.data[self._dynamics_place] = dynamics * self._dynamics_scale
+        dv = dx[n:, :]
+        value = ca.vertcat(
+            dx[:, 0], *defects, ca.vec(dv[:, -2:]), ca.vec(du), ca.vec(dv[:, 1:]),
+            ca.vec(dv[:, 1:] - dv[:, :-1]),
+        )  # fmt: skip
+        scale = p["row_scale"][:rows]
+        excess = ca.fmax(lower[:rows] / scale - value, value - upper[:rows] / scale)
+        state = ca.vertcat(ca.DM.ones(n) * POSITION_TOLERANCE, ca.DM.ones(n) * VELOCITY_TOLERANCE)
+        torques = ca.vec(TORQUE_TOLERANCE_SHARE * p["effort"] @ ca.DM.ones(1, count + 1))
+        others = ca.DM.ones(rows - self.equalities - n * (count + 1)) * VELOCITY_TOLERANCE
+        rest = ca.DM.ones(2 * n) * VELOCITY_TOLERANCE
+        tolerance = ca.vertcat(ca.repmat(state, count + 1), rest, torques, others)
+        residual = ca.mmax(excess / tolerance)
 
-        low, high, limits = self.lower, self.upper, self.limits
-        low[: 2 * n] = start - x[0]
-        defects = slice(2 * n, 2 * n * (count + 1))
-        low[defects] = (after.T - x[1:]).ravel()
-        low[defects.stop : self.equalities] = -x[-2:, n:].ravel()
-        high[: self.equalities] = low[: self.equalities]
-        _bound(low, high, self._torque_row, u, limits.torque)
-        _bound(low, high, self._velocity_row, x[1:, n:], limits.velocity)
-        change = limits.acceleration * self.interval_s
-        _bound(low, high, self._acceleration_row, np.diff(x[:, n:], axis=0), change)
-        soft = high[self._soft_row :].reshape(2, count, len(self._bounded))
-        soft_min, soft_max = self.soft_limits(start[:n])
-        ahead = x[:, :n] + limits.approach_s * x[:, n:]
-        soft[0] = (soft_max - ahead)[1:, self._bounded]
-        soft[1] = (ahead - soft_min)[1:, self._bounded]
+        along = Interpolation(count, knots // count, self.interval_s)
+        position, velocity = along.states(x[:n, :] + dx[:n, :], x[n:, :] + dv)
+        limit = p["torque"][:, 0] @ ca.DM.ones(1, knots + 1)
+        # The spline may swing beyond its nodes.
+        torque = ca.fmin(ca.fmax(along.torques(u + du), -limit), limit)
+        inputs = {
+            "z": z, "x": x, "around": u, "a": a, "b0": b0, "b1": b1, "lower": lower, "upper": upper,
+            "parameters": self._vector,
+        }  # fmt: skip
+        outputs = {
+            "residual": residual, "position": position, "velocity": velocity, "torque": torque,
+        }  # fmt: skip
+        return named_function("judge", inputs, outputs)
 
-        error = (x - reference) * self._state_weight * self._weight[:, None]
-        self.gradient[self.states] = 2 * error.ravel()
-        pull = self._torque_hessian @ u.ravel()
-        pull[:n] -= 2 * self._start_weight * committed
-        pull[-2 * n :] -= 2 * np.tile(self._start_weight * holding, 2)
-        self.gradient[self.torques] = pull
-        self.gradient *= self.column_scale
-        low[: self._soft_row] *= self._row_scale[: self._soft_row]
-        high *= self._row_scale
+    def _nodes(self) -> tuple[Any, Any]:
+        """The guess: x (2n, N+1) and u (n, N+1)."""
+        n, nodes = self.n, self.intervals + 1
+        return ca.MX.sym("x", 2 * n, nodes), ca.MX.sym("u", n, nodes)
 
-    def soft_limits(self, position: Array) -> tuple[Array, Array]:
-        """Soft position limits at the nodes, (N+1, n) each: outside of them the way back in is an
+    def _linearized(self) -> tuple[Any, Any, Any]:
+        """a (2n, 2nN), b0 and b1 (2n, nN): the intervals side by side."""
+        n, count = self.n, self.intervals
+        widths = {"a": 2 * n * count, "b0": n * count, "b1": n * count}
+        a, b0, b1 = (ca.MX.sym(name, 2 * n, width) for name, width in widths.items())
+        return a, b0, b1
+
+    def _parameters(self) -> dict[str, Any]:
+        """By name, as expressions of `_vector`."""
+        shapes = [value.shape for value in self._values.values()]
+        sizes = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)]).tolist()
+        parts = ca.vertsplit(self._vector, sizes)
+        return {
+            name: ca.reshape(part, *shape)
+            for name, part, shape in zip(self._values, parts, shapes, strict=True)
+        }
+
+    @staticmethod
+    def _smoothness(weight: Any) -> Any:
+        """Of the torque's step into each node: more where tracking has faded out."""
+        return 1 + STOP_SMOOTHNESS * (1 - weight)
+
+    def _soft_limits(self, p: dict[str, Any], position: Any) -> tuple[Any, Any]:
+        """Soft position limits at the nodes, (n, N+1) each: outside of them the way back in is an
         exponential from where the machine is. Infinite on continuous axes."""
-        time_s = np.arange(self.intervals + 1)[:, None] * self.interval_s
-        fade = np.exp(-time_s / RETURN_S)
-        low, high = self.limits.soft_min, self.limits.soft_max
+        time_s = np.arange(self.intervals + 1) * self.interval_s
+        fade = ca.DM(np.exp(-time_s / RETURN_S)).T
+        low, high = p["soft_min"], p["soft_max"]
+        all_along = ca.DM.ones(1, self.intervals + 1)
         return (
-            low + np.minimum(position - low, 0) * fade,
-            high + np.maximum(position - high, 0) * fade,
+            low @ all_along + ca.fmin(position - low, 0) @ fade,
+            high @ all_along + ca.fmax(position - high, 0) @ fade,
         )
 
-    def residual(self, z: Array) -> float:
-        """Largest violation of any constraint but the soft ones by scaled variables z, in parts of
-        its tolerance: up to one is good."""
-        value = self.constraints @ z
-        excess = np.maximum(self.lower - value, value - self.upper) / self._row_scale
-        return float((excess / self._tolerance)[: self._soft_row].max())
+
+class Interpolation:
+    """From nodes (n, N+1) to knots (n, K+1): cubic Hermite for states; for torques the C2 cubic
+    spline, which a track can represent, running out flat into the last interval, where the machine
+    rests."""
+
+    def __init__(self, intervals: int, stride: int, interval_s: float) -> None:
+        nodes, s = np.arange(intervals + 1), np.arange(intervals * stride + 1) / stride
+        hermite = [
+            CubicHermiteSpline(nodes, *values)
+            for values in (
+                (np.eye(intervals + 1), np.zeros((intervals + 1, intervals + 1))),
+                (np.zeros((intervals + 1, intervals + 1)), np.eye(intervals + 1)),
+            )
+        ]
+        by_q, by_v = ((basis(s), basis(s, 1)) for basis in hermite)
+        flat = CubicSpline(
+            nodes[:-1], np.eye(intervals, intervals + 1), bc_type=("natural", "clamped")
+        )
+        self._position = _sparse(by_q[0]), _sparse(by_v[0] * interval_s)
+        self._velocity = _sparse(by_q[1] / interval_s), _sparse(by_v[1])
+        self._torque = _sparse(flat(np.minimum(s, intervals - 1)))
+
+    def states(self, q: Any, v: Any) -> tuple[Any, Any]:
+        """Positions and velocities at the knots."""
+        (pq, pv), (vq, vv) = self._position, self._velocity
+        return q @ pq + v @ pv, q @ vq + v @ vv
+
+    def torques(self, u: Any) -> Any:
+        """Torques at the knots."""
+        return u @ self._torque
 
 
-def _bound(low: Array, high: Array, row: int, guess: Array, limit: Array) -> None:
-    """|guess + deviation| <= limit, as rows from `row` on."""
-    rows = slice(row, row + guess.size)
-    low[rows] = (-limit - guess).ravel()
-    high[rows] = (limit - guess).ravel()
+def _rows(column: Any, count: int) -> Any:
+    """A column as so many equal rows."""
+    return ca.repmat(column.T, count, 1)
+
+
+def _sparse(basis: Array) -> Any:
+    """Of (K+1, N+1) values what is not zero, turned: to be multiplied with from the right."""
+    return ca.DM(sp.csc_matrix(np.where(np.abs(basis) < 1e-15, 0, basis).T))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
 from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta
-from headway.models.codegen import Call, compile_functions
+from headway.models.codegen import Call, compile_functions, named_function
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
@@ -65,9 +65,10 @@ class Prediction:
     torque (n).
 
         step       x, d, tracks at start, middle and end, dt   to x after, its Jacobian in [x, d]
-        rollout    the same for `horizon_knots` steps in a row to each x after
+        rollout    the same for `horizon_knots` steps in a row to each x after, `states`
         linearize  x, torques u0 at start and u1 at end, d, dt, for each of `intervals`
                    to x after, its Jacobians in x, u0, u1
+        inverse    q, v, a to motor torques
     """
 
     def __init__(self, machine: Machine, law: ServoLaw, intervals: int, horizon_knots: int) -> None:
@@ -76,16 +77,14 @@ class Prediction:
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
         linearize = _interval(equations).map("linearize", "serial", intervals, [3, 4, 5], [])
         functions = [_step(equations), rollout, linearize, equations.inverse]
-        compiled = compile_functions("machine", functions)
-        self.step = self._bind(compiled["step"])
-        self.rollout = self._bind(compiled["rollout"])
-        self.linearize = self._bind(compiled["linearize"])
-        self._inverse = self._bind(compiled["inverse"])
+        self._library = compile_functions("machine", functions)
+        self.step, self._inverse = self.call("step"), self.call("inverse")
 
-    def _bind(self, function: ca.Function) -> Call:
-        """The last input of each is the servo law, which does not change."""
-        call = Call(function)
-        call.fix_last(self.law.parameters[:, None])
+    def call(self, name: str, pool: dict[str, Array] | None = None) -> Call:
+        """A function by its name, on arrays of its own or on those of a pool, see `Call`. The servo
+        law, which does not change, is no longer among its inputs."""
+        call = Call(self._library, name, pool)
+        call.inputs.pop()[...] = self.law.parameters[:, None]
         return call
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
@@ -126,7 +125,9 @@ def _advance(equations: Equations) -> ca.Function:
     def rate(x: Any, tracks: Any) -> Any:
         return equations.servoed(x, tracks, d, law)
 
-    return ca.Function("advance", [x, d, *tracks, dt, law], [runge_kutta(rate, x, *tracks, dt)])
+    inputs = {"x": x, "d": d, "start": tracks[0], "middle": tracks[1], "end": tracks[2]}
+    after = {"states": runge_kutta(rate, x, *tracks, dt)}
+    return named_function("advance", {**inputs, "dt": dt, "law": law}, after)
 
 
 def _step(equations: Equations) -> ca.Function:
@@ -159,4 +160,6 @@ def _interval(equations: Equations) -> ca.Function:
     start = ca.horzcat(x, ca.DM.eye(2 * n), ca.DM(2 * n, 2 * n))
     after = ca.densify(runge_kutta(rate, start, 0.0, 0.5, 1.0, dt))
     parts = ca.horzsplit(after, [0, 1, 1 + 2 * n, 1 + 3 * n, 1 + 4 * n])
-    return ca.Function("interval", [x, u0, u1, d, dt, law], parts)
+    inputs = {"x0": x, "u0": u0, "u1": u1, "assumed": d, "dt": dt, "law": law}
+    outputs = dict(zip(("after", "a", "b0", "b1"), parts, strict=True))
+    return named_function("interval", inputs, outputs)

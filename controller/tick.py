@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.controller.estimator import Estimate
-from headway.controller.mpc import Motion, Solution
+from headway.controller.motion import Motion
+from headway.controller.mpc import Solution
 from headway.devices.remote import Points
 
 Array = NDArray[np.float64]

@@ -13,44 +13,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Loop
+from headway.controller._tick import Encoding
 from headway.controller.equations import TRACK_ROWS
 from headway.controller.gains import Gains
-from headway.controller.mpc import Motion
+from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction
 from headway.devices import core
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
-
-Array = NDArray[np.float64]
+from headway.models.codegen import Array, Call, compile_functions, named_function
 
 POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: of a step, half is gone after 5 knots
 TORQUE_CURVATURE_WEIGHT = 0.002
 FIXED_KNOTS = 3  # from the commit knot on, in which committed points still shape the tracks
-RELIEF, RELIEF_ROUNDS = 1.4, 8
+RELIEF = 1.4
 
-VALUE = np.array([1.0, 4.0, 1.0]) / 6  # of c[k-1], c[k], c[k+1] at knot k
-SLOPE = np.array([-0.5, 0.0, 0.5])  # per knot interval
-MIDDLE = np.array([1.0, 23.0, 23.0, 1.0]) / 48  # of c[k-1] .. c[k+2] half-way through [k, k+1)
-MIDDLE_SLOPE = np.array([-1.0, -5.0, 5.0, 1.0]) / 8
-
-
-def at_knots(points: Array, weights: Array) -> Array:
-    """Sum of weights * points[k ..] for each k: (m + len - 1, n) to (m, n)."""
-    m = len(points) - len(weights) + 1
-    parts = [w * points[i : i + m] for i, w in enumerate(weights)]
-    total: Array = np.sum(parts, axis=0)
-    return total
+VALUE = 1 / 6, 4 / 6, 1 / 6  # of c[k-1], c[k], c[k+1] at knot k
+SLOPE = -0.5, 0.0, 0.5  # per knot interval
+MIDDLE = 1 / 48, 23 / 48, 23 / 48, 1 / 48  # of c[k-1] .. c[k+2] half-way through [k, k+1)
+MIDDLE_SLOPE = -1 / 8, -5 / 8, 5 / 8, 1 / 8
 
 
 class Fit:
     """Control points c[-1 .. K+1] over knots 0 .. K: the first three are committed, the last three
     equal the final value; those between fit samples at the knots in the least-squares sense.
 
-    A linear map of (samples, committed), computed once.
+    A linear map of samples (K+1,) and committed points (3,), computed once.
     """
 
     def __init__(self, knots: int, curvature_weight: float) -> None:
@@ -74,166 +67,193 @@ class Fit:
         first[:3] = np.eye(3)
         free = slice(3, size - 3)
         solve = np.linalg.pinv(left[:, free])
-        self._samples, self._committed = last, first
-        self._samples[free] = solve @ (right - left @ last)
-        self._committed[free] = -solve @ left @ first
+        self.of_samples: Array = last
+        self.of_committed: Array = first
+        self.of_samples[free] = solve @ (right - left @ last)
+        self.of_committed[free] = -solve @ left @ first
 
-    def __call__(self, samples: Array, committed: Array) -> Array:
-        """(K+1, n) samples and (3, n) committed points to (K+3, n) points."""
-        points = self._samples @ samples + self._committed @ committed
-        points[:3] = committed
-        points[-3:] = samples[-1]
-        return points
+    def __call__(self, samples: Any, committed: Any) -> Any:
+        """Samples (n, K+1) and committed points (n, 3) to points (n, K+3), as expressions."""
+        return samples @ ca.DM(self.of_samples.T) + committed @ ca.DM(self.of_committed.T)
 
 
 class Encoder:
-    """Encodes a motion and rolls the servos' model through what was encoded."""
+    """Encodes a motion and rolls the servos' model through what was encoded.
+
+    `encoding` encodes the motion that stands in `pool`: position, velocity and torque (n, K+1), a
+    column a knot.
+    """
 
     def __init__(
         self, prediction: Prediction, units: list[AxisUnits], gains: Gains, loop: Loop
     ) -> None:
-        self._prediction, self._n, self._gains = prediction, prediction.n, gains
-        self._units, self._h = units, loop.knot_us * 1e-6
+        n, knots = prediction.n, prediction.horizon_knots
+        self._n, self._gains, self._law, self._units = n, gains, prediction.law, units
+        self._h = loop.knot_us * 1e-6
         # Of knots and half-way between them, where a plan's first point is number 0.
-        steps = loop.knot_us // 2 * np.arange(2, 2 * prediction.horizon_knots + 3)
+        steps = loop.knot_us // 2 * np.arange(2, 2 * knots + 3)
         self._half_knots_us: NDArray[np.int64] = steps.astype(np.int64)
         self._scale = {
             core.TRACK_POSITION: np.array([u.pq_per_unit for u in units]),
             core.TRACK_TORQUE: np.array([u.tq_per_effort for u in units]),
         }
-        self._position = Fit(prediction.horizon_knots, POSITION_CURVATURE_WEIGHT)
-        self._torque = Fit(prediction.horizon_knots, TORQUE_CURVATURE_WEIGHT)
-
-    def _committed(self, remotes: list[Remote], sink: int, knot: int, near: Array) -> Array:
-        """The three points from `knot` on of one sink on all axes, in SI: (3, n)."""
-        return self._in_si(sink, [remote.track(sink).points(knot, 3) for remote in remotes], near)
-
-    def _in_si(self, sink: int, points: Sequence[NDArray[Any]], near: Array) -> Array:
-        """Points of one sink (m,) by axis, in SI: (m, n). `near` (n,): where the axes are at the
-        first of them."""
-        if sink == core.TRACK_POSITION:
-            axes = zip(self._units, points, near.tolist(), strict=True)
-            points = [units.unwrapped(of_axis, about) for units, of_axis, about in axes]
-        in_si: Array = np.stack(points, axis=1) / self._scale[sink]
-        return in_si
+        self._gain_fit = Fit(knots, POSITION_CURVATURE_WEIGHT)
+        self._gain_points: list[Points] = []
+        library = compile_functions("encoder", [_encode(n, knots, self._h), _relieve(n, knots)])
+        self.pool = pool = dict[str, Array]()
+        encode = Call(library, "encode", pool)
+        tracks = pool["tracks"]
+        pool |= {"start": tracks[:, :-1], "middle": pool["middles"], "end": tracks[:, 1:]}
+        rollout, relieve = prediction.call("rollout", pool), Call(library, "relieve", pool)
+        pool["dt"][...], pool["limit"][:, 0] = self._h, self._law.limit
+        pool["quanta"][:, 0] = np.concatenate(list(self._scale.values()))
+        self.encoding = Encoding(
+            encode.bound, rollout.bound, relieve.bound, pool["relief"], pool["more"], pool["over"]
+        )
 
     def plan(
         self, motion: Motion, remotes: list[Remote], knot: int, start: Array, disturbance: Array
     ) -> tuple[list[Points], Motion]:
-        """Encodes a motion; returns the points and their roll-out.
+        """Encodes a motion that begins at knot `knot`, from state `start` (2n,) on; returns the
+        points from knot - 1 on, by axis, and their roll-out."""
+        for name in ("position", "velocity", "torque"):
+            self.pool[name][...] = getattr(motion, name).T
+        self.commit(remotes, knot, motion.position, start, disturbance)
+        self.encoding.run()
+        return self.points(), self.rolled()
 
-        Where the servos' feedback adds up to more torque than there is, the ceiling cuts it: there
-        the torque track gives way by as much, which leaves the motion as it is.
-        """
-        relief, limit = np.zeros_like(motion.torque), self._prediction.law.limit
-        gains = self.gain_points(motion, remotes, knot)
-        for _ in range(RELIEF_ROUNDS):
-            points = self.encode(motion, remotes, knot, relief, gains)
-            rolled = self.roll_out(points, start, disturbance)
-            torque = rolled.torque[FIXED_KNOTS:]
-            if np.all(np.abs(torque) <= limit):
-                break
-            # A little more than the excess, since the fit smoothes.
-            relief[FIXED_KNOTS:] += RELIEF * (
-                torque - np.clip(torque, -0.995 * limit, 0.995 * limit)
-            )
-        return points, rolled
+    def commit(
+        self, remotes: list[Remote], knot: int, position: Array, start: Array, disturbance: Array
+    ) -> None:
+        """Takes over what the devices have from `knot` - 1 on: the first three points of each
+        track. Gains follow `position` (K+1, n), which need not be the motion to the last bit."""
+        near = position[0]
+        for name, sink in (("r0", core.TRACK_POSITION), ("f0", core.TRACK_TORQUE)):
+            points = [remote.track(sink).points(knot - 1, 3) for remote in remotes]
+            self.pool[name][...] = self._in_si(sink, points, near)
+        self._gain_points = self.gain_points(position, remotes, knot)
+        feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
+        self.pool["feedback"][...] = feedback.T
+        self.pool["x"][:, 0], self.pool["d"][...] = start, disturbance[:, None]
 
-    def encode(
-        self,
-        motion: Motion,
-        remotes: list[Remote],
-        knot: int,
-        relief: Array | float = 0.0,
-        gains: list[Points] | None = None,
-    ) -> list[Points]:
-        """Control points from knot - 1 on, by axis, of a motion that begins at knot `knot`.
-
-        The first three points of each track are the committed ones. `relief`: (K+1, n) Nm, taken
-        off the torque track at the knots; `gains`: what `gain_points` gives, if it is known.
-        """
-        law = self._prediction.law
-        begin = motion.position[0]
-        gains = self.gain_points(motion, remotes, knot) if gains is None else gains
-        feedback = self._feedback(gains)[::2]
-        kp, damping = feedback[:, : self._n], feedback[:, self._n :]
-        r = self._position(
-            motion.position, self._committed(remotes, core.TRACK_POSITION, knot - 1, begin)
-        )
-        r = self._quantize(r, core.TRACK_POSITION)
-        value, rate = at_knots(r, VALUE), at_knots(r, SLOPE) / self._h
-        f = motion.torque - kp * (value - motion.position) - damping * (rate - motion.velocity)
-        f = np.clip(f - relief, -law.limit, law.limit)
-        f = self._torque(f, self._committed(remotes, core.TRACK_TORQUE, knot - 1, begin))
-        f = np.clip(self._quantize(f, core.TRACK_TORQUE), -law.limit, law.limit)
+    def points(self) -> list[Points]:
+        """Of the last encoding: control points by axis, the first three of each track the
+        committed ones."""
         return [
             {
-                core.TRACK_POSITION: units.position_points(r[:, axis]),
-                core.TRACK_TORQUE: units.torque_points(f[:, axis]),
-                **gains[axis],
+                core.TRACK_POSITION: units.position_points(self.pool["r"][axis]),
+                core.TRACK_TORQUE: units.torque_points(self.pool["f"][axis]),
+                **self._gain_points[axis],
             }
             for axis, units in enumerate(self._units)
         ]
 
-    def gain_points(self, motion: Motion, remotes: list[Remote], knot: int) -> list[Points]:
-        """Control points of the gain tracks along a motion, as `encode` has them."""
+    def rolled(self) -> Motion:
+        """Of the last encoding: the motion that the servos make of it."""
+        states = np.hstack((self.pool["x"], self.pool["states"])).T
+        torque = self.pool["motor"].T.copy()
+        return Motion(states[:, : self._n], states[:, self._n :], torque)
+
+    def departure(self) -> Array:
+        """Of the last encoding: torque that the tracks give along the motion itself, minus the
+        motion's own, at the knots: (K+1, n) [Nm or N]."""
+        states = np.vstack((self.pool["position"], self.pool["velocity"])).T
+        given = self._law.torque(states, self.pool["tracks"].T)
+        departure: Array = given - self.pool["torque"].T
+        return departure
+
+    def gain_points(self, position: Array, remotes: list[Remote], knot: int) -> list[Points]:
+        """Control points of the gain tracks along positions (K+1, n), as `plan` has them."""
         sinks = self._gains.sinks
         if not sinks:
             return [{} for _ in remotes]
         committed = [r.track(sink).points(knot - 1, 3) for sink in sinks for r in remotes]
-        wanted = self._gains.points(motion.position)
-        return self._gains.bounded(self._position(wanted, np.stack(committed, axis=1)))
+        wanted = self._gains.points(position)
+        fit = self._gain_fit
+        points = fit.of_samples @ wanted + fit.of_committed @ np.stack(committed, axis=1)
+        return self._gains.bounded(points)
 
-    def _feedback(self, points: list[Points]) -> Array:
-        """[Kp, Kd + c] of encoded gain tracks at the knots and half-way between: (2K+1, 2n)."""
+    def _gain_track(self, axis: int, sink: int) -> core.Track:
+        track = core.Track()
+        track.write(0, self._gain_points[axis][sink])
+        return track
 
-        def track(axis: int, sink: int) -> core.Track:
-            track = core.Track()
-            track.write(0, points[axis][sink])
-            return track
+    def _in_si(self, sink: int, points: list[NDArray[np.int32]], near: Array) -> Array:
+        """Points of one sink (m,) by axis, in SI: (n, m). `near` (n,): where the axes are at the
+        first of them."""
+        scaled: Sequence[NDArray[Any]] = points
+        if sink == core.TRACK_POSITION:
+            axes = zip(self._units, points, near.tolist(), strict=True)
+            scaled = [units.unwrapped(of_axis, about) for units, of_axis, about in axes]
+        in_si: Array = np.stack(scaled) / self._scale[sink][:, None]
+        return in_si
 
-        return self._gains.feedback(track, self._half_knots_us)
 
-    def _quantize(self, points: Array, sink: int) -> Array:
-        quantized: Array = np.rint(points * self._scale[sink]) / self._scale[sink]
-        return quantized
+def _at_knots(points: Any, weights: Sequence[float]) -> Any:
+    """Sum of weights * points[k ..] for each k: (n, m) to (n, m - len + 1)."""
+    m = points.shape[1] - len(weights) + 1
+    return sum(w * points[:, i : i + m] for i, w in enumerate(weights))
 
-    def departure(self, motion: Motion, points: list[Points]) -> Array:
-        """Torque that the encoded tracks give along the planned motion, minus the planned one, at
-        the knots: (K+1, n) Nm."""
-        tracks, _ = self._track_values(points, motion.position[0])
-        states = np.hstack((motion.position, motion.velocity))
-        departure: Array = self._prediction.law.torque(states, tracks) - motion.torque
-        return departure
 
-    def _track_values(self, points: list[Points], near: Array) -> tuple[Array, Array]:
-        """[r, r', f, Kp, Kd + c] at the knots (K+1, 5n) and half-way between them (K, 5n).
-        `near` (n,): where the axes begin."""
-        h, sinks = self._h, (core.TRACK_POSITION, core.TRACK_TORQUE)
-        r, f = (self._in_si(sink, [of_axis[sink] for of_axis in points], near) for sink in sinks)
-        gains = self._feedback(points)
-        knots = at_knots(r, VALUE), at_knots(r, SLOPE) / h, at_knots(f, VALUE), gains[::2]
-        middle = (
-            at_knots(r, MIDDLE),
-            at_knots(r, MIDDLE_SLOPE) / h,
-            at_knots(f, MIDDLE),
-            gains[1::2],
-        )
-        return np.hstack(knots), np.hstack(middle)
+def _encode(n: int, knots: int, h: float) -> ca.Function:
+    """position, velocity, torque (n, K+1): the motion; r0, f0 (n, 3): committed points; feedback
+    (2n, 2K+1): [Kp, Kd + c] at the knots and half-way between; relief (n, K+1): taken off the
+    torque track; quanta (2n,): of position and torque, per unit; limit (n,): of the torque; all SI.
 
-    def roll_out(self, points: list[Points], start: Array, disturbance: Array) -> Motion:
-        """The motion that the servos make of encoded points, from state `start` (2n,)."""
-        n = self._n
-        knots, middles = self._track_values(points, start[:n])
-        call = self._prediction.rollout
-        call.inputs[0][:, 0] = start
-        call.inputs[1][...] = disturbance[:, None]
-        call.inputs[2][...] = knots[:-1].T
-        call.inputs[3][...] = middles.T
-        call.inputs[4][...] = knots[1:].T
-        call.inputs[5][...] = self._h
-        states = np.vstack((start, call.run()[0].T))
-        return Motion(states[:, :n], states[:, n:], self._prediction.law.torque(states, knots))
+    To the points r, f (n, K+3), whole quanta, and to the tracks [r, r', f, Kp, Kd + c] at the
+    knots (5n, K+1) and half-way between them (5n, K).
+    """
+    sizes = {
+        "position": (n, knots + 1), "velocity": (n, knots + 1), "torque": (n, knots + 1),
+        "r0": (n, 3), "f0": (n, 3), "feedback": (2 * n, 2 * knots + 1), "relief": (n, knots + 1),
+        "quanta": (2 * n, 1), "limit": (n, 1),
+    }  # fmt: skip
+    inputs = {name: ca.MX.sym(name, *size) for name, size in sizes.items()}
+    position, velocity, torque, r0, f0, feedback, relief, quanta, limit = inputs.values()
+    at, between = feedback[:, ::2], feedback[:, 1::2]
+    ceiling = ca.repmat(limit, 1, knots + 1), ca.repmat(limit, 1, knots + 3)
+
+    def clip(values: Any, ceiling: Any) -> Any:
+        return ca.fmin(ca.fmax(values, -ceiling), ceiling)
+
+    def whole(points: Any, per_unit: Any) -> Any:
+        return ca.floor(points * per_unit + 0.5) / per_unit
+
+    r = whole(Fit(knots, POSITION_CURVATURE_WEIGHT)(position, r0), quanta[:n])
+    value, rate = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h
+    f = torque - at[:n, :] * (value - position) - at[n:, :] * (rate - velocity)
+    f = Fit(knots, TORQUE_CURVATURE_WEIGHT)(clip(f - relief, ceiling[0]), f0)
+    f = clip(whole(f, quanta[n:]), ceiling[1])
+    tracks = ca.vertcat(value, rate, _at_knots(f, VALUE), at)
+    middles = ca.vertcat(
+        _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE), between
+    )
+    outputs = {"r": r, "f": f, "tracks": tracks, "middles": middles}
+    return named_function("encode", inputs, outputs)
+
+
+def _relieve(n: int, knots: int) -> ca.Function:
+    """x (2n,), states (2n, K): a roll-out; tracks (5n, K+1) at the knots; relief (n, K+1) so far;
+    limit (n,).
+
+    To the torque of the motors (n, K+1), to more relief, and to the largest excess over the limits
+    past the committed points.
+    """
+    sizes = {
+        "x": (2 * n, 1), "states": (2 * n, knots), "tracks": (TRACK_ROWS * n, knots + 1),
+        "relief": (n, knots + 1), "limit": (n, 1),
+    }  # fmt: skip
+    inputs = {name: ca.MX.sym(name, *size) for name, size in sizes.items()}
+    start, after, tracks, relief, limit = inputs.values()
+    states = ca.horzcat(start, after)
+    r, rate, f, kp, damping = ca.vertsplit(tracks, n)
+    torque = f + kp * (r - states[:n, :]) + damping * (rate - states[n:, :])
+    free, ceiling = torque[:, FIXED_KNOTS:], ca.repmat(limit, 1, knots + 1 - FIXED_KNOTS)
+    excess = free - ca.fmin(ca.fmax(free, -0.995 * ceiling), 0.995 * ceiling)
+    # A little more than the excess, since the fit smoothes.
+    more = relief + RELIEF * ca.horzcat(ca.MX(n, FIXED_KNOTS), excess)
+    over = ca.mmax(ca.fabs(free) - ceiling)
+    return named_function("relieve", inputs, {"motor": torque, "more": more, "over": over})
 
 
 class Commitment:

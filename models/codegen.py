@@ -9,10 +9,15 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+from headway.models._generated import Bound, shapes
+
+Array = NDArray[np.float64]
 
 
 def cache_dir() -> Path:
@@ -21,8 +26,8 @@ def cache_dir() -> Path:
     return Path(base) / "headway"
 
 
-def compile_functions(name: str, functions: list[ca.Function]) -> dict[str, ca.Function]:
-    """Generates one C file for all `functions`, compiles it once and loads it.
+def compile_functions(name: str, functions: list[ca.Function]) -> Path:
+    """Generates one C file for all `functions` and compiles it once; returns the library.
 
     The shared library is named by the hash of its source and put in place by a rename, so
     processes that compile at the same time do no harm to each other. It ends in a hash of its own,
@@ -36,7 +41,7 @@ def compile_functions(name: str, functions: list[ca.Function]) -> dict[str, ca.F
     library = cache_dir() / f"{name}-{digest}.so"
     if not _intact(library):
         _build(name, source, library)
-    return {f.name(): ca.external(f.name(), str(library)) for f in functions}
+    return library
 
 
 def _seal(content: bytes) -> bytes:
@@ -75,29 +80,35 @@ def _build(name: str, source: str, library: Path) -> None:
 class Call:
     """A compiled function bound to arrays: write `inputs`, run, read `outputs`.
 
-    Goes through CasADi's buffers: 0.14 us of overhead where numpy arguments cost 50. Arrays are
-    dense, float64, in Fortran order as CasADi has them, and belong to this object.
+    Arrays are dense, float64, in Fortran order as CasADi has them. They stay where they are, so
+    that functions can share them by name: what one writes the next one reads. `bound` keeps them.
     """
 
-    def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._evaluate = function.buffer()
-        self.inputs: list[NDArray[np.float64]] = []
-        self.outputs: list[NDArray[np.float64]] = []
-        for i in range(function.n_in()):
-            self.inputs.append(np.zeros(function.size_in(i), order="F"))
-            self._buffer.set_arg(i, memoryview(self.inputs[i].T))  # type: ignore[call-arg, arg-type]
-        for i in range(function.n_out()):
-            if not function.sparsity_out(i).is_dense():
-                raise ValueError(f"output {i} of {function.name()} is sparse; densify it")
-            self.outputs.append(np.zeros(function.size_out(i), order="F"))
-            self._buffer.set_res(i, memoryview(self.outputs[i].T))  # type: ignore[call-arg, arg-type]
+    def __init__(self, library: Path, name: str, pool: dict[str, Array] | None = None) -> None:
+        """`pool`: arrays by the names of inputs and outputs; those that it lacks are made.
 
-    def fix_last(self, value: NDArray[np.float64]) -> None:
-        """Gives the last input its value for good: it is no longer among `inputs`."""
-        self._fixed = self.inputs.pop()  # kept, since the function reads it at each run
-        self._fixed[:] = value
+        Raises ValueError if an array is of another shape than the function's.
+        """
+        pool = {} if pool is None else pool
+        shapes_in, shapes_out = shapes(str(library), name)
+        self.inputs = [self._shared(pool, *shape) for shape in shapes_in]
+        self.outputs = [self._shared(pool, *shape) for shape in shapes_out]
+        self.bound = Bound(str(library), name, self.inputs, self.outputs)
 
-    def run(self) -> list[NDArray[np.float64]]:
+    @staticmethod
+    def _shared(pool: dict[str, Array], key: str, rows: int, columns: int) -> Array:
+        array = pool.setdefault(key, np.zeros((rows, columns), order="F"))
+        if array.shape != (rows, columns) or not array.flags.f_contiguous:
+            raise ValueError(f"{key} is to be {rows} by {columns}, in Fortran order")
+        return array
+
+    def run(self) -> list[Array]:
         """Evaluates; returns `outputs`, which the next run overwrites."""
-        self._evaluate()
+        self.bound.run()
         return self.outputs
+
+
+def named_function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> ca.Function:
+    """A function of expressions whose arrays can be shared by name, see `Call`."""
+    dense = [ca.densify(value) for value in outputs.values()]
+    return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs))

@@ -14,11 +14,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import osqp
 import pytest
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
+from headway.controller import mpc
+from headway.controller._tick import Tick
 from headway.controller.record.channels import CHANNELS
 from headway.controller.record.reader import read_run
 from headway.sim.lockstep import Lockstep
@@ -340,17 +341,19 @@ def test_ctrl_c_twice(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 
 
 def test_ctrl_c_that_osqp_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = osqp.OSQP.solve
-    solved = itertools.count()
+    class InterruptedAtLast:
+        def __init__(self, *parts: Any) -> None:
+            self._tick, self._solved = Tick(*parts), itertools.count()
+            self.prepare = self._tick.prepare
 
-    def interrupted_at_last(solver: osqp.OSQP, **options: Any) -> Any:
-        result = solve(solver, **options)
-        if next(solved) < 50:
-            return result
-        status = osqp.SolverStatus.OSQP_SIGINT
-        return SimpleNamespace(x=result.x, info=SimpleNamespace(status_val=status, iter=1))
+        def feedback(self) -> Any:
+            if next(self._solved) < 50:
+                return self._tick.feedback()
+            return SimpleNamespace(
+                status=10, iterations=1, residual=0.0, accepted=False, solve_us=0
+            )
 
-    monkeypatch.setattr(osqp.OSQP, "solve", interrupted_at_last)
+    monkeypatch.setattr(mpc, "Tick", InterruptedAtLast)
     assert main(["run", str(ARM2), "--duration", "1000", "--out", "out"]) == 130
     assert json.loads(Path("out/summary.json").read_text())["solver"]["ticks"] == 51
 

@@ -288,11 +288,10 @@ def linearize(
     prediction: Prediction, x: Array, u0: Array, u1: Array, d: Array, dt: float
 ) -> list[Array]:
     """Intervals side by side, as the compiled function has them."""
-    for target, value in zip(prediction.linearize.inputs, (x, u0, u1), strict=False):
+    call = prediction.call("linearize")
+    for target, value in zip(call.inputs, (x, u0, u1, d[:, None], dt), strict=True):
         target[...] = value
-    prediction.linearize.inputs[3][:, 0] = d
-    prediction.linearize.inputs[4][0, 0] = dt
-    return [part.copy() for part in prediction.linearize.run()]
+    return call.run()
 
 
 def test_derivatives_of_the_linearized_intervals(predicted: tuple[Machine, Prediction]) -> None:
@@ -350,7 +349,7 @@ def test_a_roll_out_is_a_chain_of_steps(predicted: tuple[Machine, Prediction]) -
     rng, n = np.random.default_rng(9), prediction.n
     z, first = servo_cases(prediction, False)[0]
     tracks = first[0] + rng.normal(0, 1e-3, (3, HORIZON, 5 * n))
-    call = prediction.rollout
+    call = prediction.call("rollout")
     call.inputs[0][:, 0], call.inputs[1][...] = z[: 2 * n], z[2 * n :, None]
     for i in range(3):
         call.inputs[2 + i][...] = tracks[i].T

@@ -22,7 +22,7 @@ from headway.configs.schema import Config
 from headway.controller.equations import COULOMB_SPEED
 from headway.controller.gains import Gains, Schedule
 from headway.controller.loop import plan_points
-from headway.controller.mpc import Motion
+from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.tracks import Encoder
 from headway.devices import core, packet
@@ -282,7 +282,7 @@ def test_gain_tracks_continue_rest_at_the_end_and_pass_the_gate(
     plans = motions(seed, wild)
     remotes: Any = [Held(axis, plans[0].position[0], mode) for axis in range(2)]
     for knot, motion in enumerate(plans):
-        points = encoder(mode).gain_points(motion, remotes, knot)
+        points = encoder(mode).gain_points(motion.position, remotes, knot)
         for remote, plan, settings_, axis in zip(remotes, points, LIMITS, AXES, strict=True):
             assert sorted(plan) == sorted(GAINS)
             for sink, scale in zip(
@@ -309,7 +309,7 @@ def test_smooth_gain_tracks_say_the_schedule_and_take_two_bytes_a_point() -> Non
     remotes: Any = [Held(axis, plans[0].position[0], "scheduled") for axis in range(2)]
     for knot, motion in enumerate(plans):
         wanted = by_sink(gains("scheduled").points(motion.position))
-        points = encoder("scheduled").gain_points(motion, remotes, knot)
+        points = encoder("scheduled").gain_points(motion.position, remotes, knot)
         for axis, plan in enumerate(points):
             for sink in GAINS:
                 at_knots = np.convolve(plan[sink], [1 / 6, 4 / 6, 1 / 6], "valid")
@@ -381,7 +381,7 @@ def test_a_roll_out_follows_gains_that_vary() -> None:
     motion = stride(0.0)
     start = np.array([0.4, -1.8, 0.0, 0.0])
     remotes: Any = [Held(axis, start[:2], "scheduled") for axis in range(2)]
-    points = encoder("scheduled").encode(motion, remotes, 0)
+    points, rolled = encoder("scheduled").plan(motion, remotes, 0, start, np.zeros(2))
     factor = [
         {
             sink: gain / LIMITS[axis].limits(sink).point_max
@@ -411,7 +411,6 @@ def test_a_roll_out_follows_gains_that_vary() -> None:
     times = np.minimum(KNOTS * KNOT_S, end)
     options: dict[str, Any] = {"t_eval": times, "rtol": 1e-9, "atol": 1e-10, "max_step": KNOT_S / 2}
     exact = solve_ivp(derivative, (0, end), start, **options).y.T
-    rolled = encoder("scheduled").roll_out(points, start, np.zeros(2))
     assert np.ptp(exact[:, 1]) > 0.5
     error = np.abs(rolled.position - exact[:, :2]).max()
     assert error < 1e-4
@@ -424,12 +423,14 @@ def test_the_torque_track_counts_on_the_gains_that_are_sent() -> None:
     """On the plan, tracks and gains together give the planned torque."""
     motion = stride(0.02)  # off the committed position, so that the feedback has much to say
     remotes: Any = [Held(axis, np.array([0.4, -1.8]), "scheduled") for axis in range(2)]
-    points = encoder("scheduled").encode(motion, remotes, 0)
-    assert np.abs(encoder("scheduled").departure(motion, points)[5:]).max() < 0.05
-    wrong = encoder("fixed").encode(motion, remotes, 0)
-    for plan, right in zip(wrong, points, strict=True):
-        plan.update({sink: right[sink] for sink in GAINS})
-    assert np.abs(encoder("scheduled").departure(motion, wrong)[5:]).max() > 0.2
+    start = np.array([0.4, -1.8, 0.0, 0.0])
+    right, _ = encoder("scheduled").plan(motion, remotes, 0, start, np.zeros(2))
+    assert np.abs(encoder("scheduled").departure()[5:]).max() < 0.05
+    # A torque track that counts on other gains is another one.
+    wrong, _ = encoder("fixed").plan(motion, remotes, 0, start, np.zeros(2))
+    sink, per_nm = core.TRACK_TORQUE, np.array([units.tq_per_effort for units in UNITS])
+    change = [a[sink] - b[sink] for a, b in zip(right, wrong, strict=True)]
+    assert np.abs(change / per_nm[:, None])[:, 6:].max() > 0.2
 
 
 # A frame.

@@ -1,7 +1,9 @@
 """From plans to control points and back: the fit, the encoder, what the devices then execute."""
 
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from headway.configs.load import load_config
 from headway.configs.schema import Config
 from headway.controller import tracks
+from headway.controller.estimator import Estimate
 from headway.controller.gains import Gains
-from headway.controller.mpc import Motion
+from headway.controller.motion import Motion
+from headway.controller.mpc import Mpc, Solution
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.tick import Outbox, Phase, Tick
 from headway.controller.tracks import Commitment, Encoder, Fit
@@ -77,12 +81,17 @@ def fit(weight: float) -> Fit:
     return Fit(HORIZON, weight)
 
 
+def fitted(weight: float, samples: Array, committed: Array) -> Array:
+    points: Array = fit(weight).of_samples @ samples + fit(weight).of_committed @ committed
+    return points
+
+
 @given(st.sampled_from(WEIGHTS), st.integers(0, 2**32))
 def test_points_begin_with_the_committed_and_end_in_three_equal(weight: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     samples = np.cumsum(rng.normal(0, 0.01, (HORIZON + 1, 2)), axis=0)
     committed = rng.normal(0, 1, (3, 2))
-    points = fit(weight)(samples, committed)
+    points = fitted(weight, samples, committed)
     assert points.shape == (HORIZON + 3, 2)
     assert points[:3].tobytes() == committed.tobytes()
     assert points[-3:].tobytes() == np.tile(samples[-1], (3, 1)).tobytes()
@@ -94,7 +103,7 @@ def test_without_a_penalty_what_a_track_can_say_is_said_exactly(seed: int) -> No
     rng = np.random.default_rng(seed)
     points = np.cumsum(rng.normal(0, 0.01, (HORIZON + 3, 2)), axis=0)
     points[-3:] = points[-3]
-    got = fit(0.0)(spline(points)(KNOTS), points[:3])
+    got = fitted(0.0, spline(points)(KNOTS), points[:3])
     np.testing.assert_allclose(got, points, atol=1e-9)
 
 
@@ -113,14 +122,14 @@ def test_a_smooth_motion_is_said_to_within_a_count(
     u = np.clip(through, 0, 1)
     points = (amplitude * u**3 * (10 - 15 * u + 6 * u * u))[:, None]
     points[-3:] = points[-3]
-    got = fit(weight)(spline(points)(KNOTS), points[:3])
+    got = fitted(weight, spline(points)(KNOTS), points[:3])
     assert np.abs(got - points).max() < PITCH
 
 
 def test_a_fit_closes_in_on_the_motion_without_ringing() -> None:
     """From a committed offset of one: gone within ten knots, a twentieth at most beyond."""
     for weight in WEIGHTS[1:]:
-        points = fit(weight)(np.zeros((HORIZON + 1, 1)), np.ones((3, 1)))
+        points = fitted(weight, np.zeros((HORIZON + 1, 1)), np.ones((3, 1)))
         track = spline(points)(KNOTS)[:, 0]
         assert np.abs(track[10:]).max() < 0.06
         assert np.abs(track).max() <= 1 + 1e-12
@@ -142,6 +151,15 @@ class Held:
     def write(self, first: int, points: dict[int, list[int]] | Points) -> None:
         for sink, values in points.items():
             self._tracks[sink].write(first, np.array(values, dtype=np.int32))
+
+
+def at_rest(position: Array) -> list[Held]:
+    """Devices that hold the machine still."""
+    hold = prediction().holding(position, np.zeros(2))
+    return [
+        Held(round(q * PQ_PER_RAD), round(t * TQ_PER_NM))
+        for q, t in zip(position, hold, strict=True)
+    ]
 
 
 def quintic(first_knot: int) -> Motion:
@@ -176,18 +194,21 @@ def torque_error(motion: Motion, points: list[Points]) -> Array:
     return error
 
 
+def encode(
+    encoder: Encoder, motion: Motion, remotes: Any, knot: int
+) -> tuple[list[Points], Motion]:
+    """From the motion's own start, without a disturbance."""
+    start = np.concatenate((motion.position[0], motion.velocity[0]))
+    return encoder.plan(motion, remotes, knot, start, np.zeros(2))
+
+
 @cache
 def chain() -> list[tuple[Motion, list[Points]]]:
     """The motion encoded at every knot from its start, each time upon what was committed before."""
-    start = quintic(0).position[0]
-    hold = prediction().holding(start, np.zeros(2))
-    remotes = [
-        Held(round(q * PQ_PER_RAD), round(t * TQ_PER_NM)) for q, t in zip(start, hold, strict=True)
-    ]
-    result = []
+    remotes, result = at_rest(quintic(0).position[0]), []
     for knot in range(HORIZON):
         motion = quintic(knot)
-        points = encoder().encode(motion, remotes, knot)  # type: ignore[arg-type]
+        points, _ = encode(encoder(), motion, remotes, knot)
         for remote, plan in zip(remotes, points, strict=True):
             for sink in plan:
                 before = remote.track(sink).points(knot - 1, 3)
@@ -219,9 +240,8 @@ def test_a_plan_ends_at_rest_in_the_holding_torque() -> None:
 
 
 def test_rolling_out_an_encoded_motion_gives_the_motion() -> None:
-    motion, points = chain()[0]
-    start = np.concatenate((motion.position[0], motion.velocity[0]))
-    rolled = encoder().roll_out(points, start, np.zeros(2))
+    motion = quintic(0)
+    points, rolled = encode(encoder(), motion, at_rest(motion.position[0]), 0)
     assert np.abs(rolled.position - motion.position).max() < 3 * PITCH
     # The roll-out's torque is the servo law's at the knots of the tracks, on the motion it gives.
     position, torque = encoded(points)
@@ -234,42 +254,46 @@ def test_rolling_out_an_encoded_motion_gives_the_motion() -> None:
 # In the closed loop.
 
 
+@dataclass
 class Encoding:
-    """One call of the encoder in a run."""
+    """What came of one tick's problem."""
 
-    def __init__(self, knot: int, motion: Motion, points: list[Points]) -> None:
-        self.knot, self.motion, self.points = knot, motion, points
-        self.rolled: Motion | None = None
+    knot: int
+    motion: Motion
+    points: list[Points]
+    rolled: Motion
+
+
+def planned(of: Encoder) -> Motion:
+    """The motion that was encoded last."""
+    return Motion(*(of.pool[name].T.copy() for name in ("position", "velocity", "torque")))
 
 
 def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
     """Runs, and gathers all that is encoded."""
     seen: list[Encoding] = []
-    encode, roll_out = Encoder.encode, Encoder.roll_out
+    solve = Mpc.solve
 
-    def encode_seen(
-        self: Encoder,
-        motion: Motion,
+    def solve_seen(
+        self: Mpc,
+        start: Estimate,
+        reference: Array,
+        torque: Array,
         remotes: list[Remote],
         knot: int,
-        relief: Array,
-        gains: list[Points],
-    ) -> list[Points]:
-        points = encode(self, motion, remotes, knot, relief, gains)
-        seen.append(Encoding(knot, motion, [dict(p) for p in points]))
-        for axis, remote in enumerate(remotes):
-            for sink in points[axis]:
-                before = remote.track(sink).points(knot - 1, 3)
-                assert points[axis][sink][:3].tobytes() == before.tobytes()
-        return points
-
-    def roll_out_seen(self: Encoder, *arguments: object) -> Motion:
-        seen[-1].rolled = roll_out(self, *arguments)  # type: ignore[arg-type]
-        return seen[-1].rolled
+    ) -> Solution:
+        solution = solve(self, start, reference, torque, remotes, knot)
+        if solution.plan is not None:
+            points, rolled = solution.plan
+            seen.append(Encoding(knot, planned(self.encoder), [dict(p) for p in points], rolled))
+            for axis, remote in enumerate(remotes):
+                for sink in points[axis]:
+                    before = remote.track(sink).points(knot - 1, 3)
+                    assert points[axis][sink][:3].tobytes() == before.tobytes()
+        return solution
 
     with monkeypatch.context() as patch:
-        patch.setattr(Encoder, "encode", encode_seen)
-        patch.setattr(Encoder, "roll_out", roll_out_seen)
+        patch.setattr(Mpc, "solve", solve_seen)
         lock.run()
     return seen
 
@@ -303,10 +327,7 @@ def test_the_encoded_motion_is_the_planned_to_within_a_count_rms(
     shipped: tuple[Lockstep, list[Encoding]],
 ) -> None:
     """By the roll-out, which knows what the committed points still do in the first knots."""
-    errors = [
-        (e.rolled.position - e.motion.position)[FREE:] for e in shipped[1] if e.rolled is not None
-    ]
-    assert len(errors) == len(shipped[1])
+    errors = [(e.rolled.position - e.motion.position)[FREE:] for e in shipped[1]]
     assert np.all(np.sqrt(np.mean(np.array(errors) ** 2, axis=(0, 1))) < PITCH)
 
 
@@ -353,6 +374,27 @@ def nominal() -> tuple[Lockstep, list[Encoding]]:
     return lock, collect(lock, pytest.MonkeyPatch())
 
 
+def roll_out(points: list[Points], start: Array) -> Array:
+    """Positions at the knots that the prediction makes of encoded points."""
+    law = prediction().law
+
+    def tracks(times: Array) -> Array:
+        position, torque = encoded(points)
+        rate = position(times, 1) / KNOT_S
+        gains = np.tile(law.feedback, (len(times), 1))
+        return np.hstack((position(times), rate, torque(times), gains)).T
+
+    call = prediction().call("rollout")
+    begin = KNOTS[:-1]
+    for target, value in zip(
+        call.inputs,
+        (start[:, None], 0, tracks(begin), tracks(begin + 0.5), tracks(begin + 1), KNOT_S),
+        strict=True,
+    ):
+        target[...] = value
+    return np.vstack((start[:2], call.run()[0][:2].T))
+
+
 def deviation(lock: Lockstep, encoding: Encoding, knots: int) -> Array:
     """|truth - roll-out| over the first knots, from the true state at the commit knot."""
     record = lock.record.arrays()
@@ -362,7 +404,7 @@ def deviation(lock: Lockstep, encoding: Encoding, knots: int) -> Array:
     knot_us = (encoding.knot + KNOTS) * lock.config.loop.knot_us
     time_s = (knot_us - lock.loop.start_us) * 1e-6
     start = np.concatenate((truth(time_s[0]), truth(time_s[0], 1)))
-    rolled = encoder().roll_out(encoding.points, start, np.zeros(2)).position
+    rolled = roll_out(encoding.points, start)
     error: Array = np.abs(truth(time_s) - rolled)[: knots + 1]
     return error
 

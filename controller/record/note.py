@@ -52,8 +52,8 @@ def _told(_: str, now_us: int, values: tuple[Tick, int, bool]) -> Note:
     solver = None
     if solution is not None:
         solver = (
-            (solution.status, solution.motion is not None, solution.iterations, solution.residual),
-            (solution.linearize_us, solution.solve_us),
+            (solution.status, solution.plan is not None, solution.iterations, solution.residual),
+            (solution.prepare_us, solution.solve_us),
         )
     told = (
         (sent_us, in_time, tick.accepted, tick.samples, tick.states),

@@ -27,7 +27,7 @@ from headway.controller import gains as gain_tracks
 from headway.controller import loop
 from headway.controller.feedforward import Feedforward
 from headway.controller.gains import Schedule
-from headway.controller.mpc import Motion
+from headway.controller.motion import Motion
 from headway.controller.record.columns import Arrays
 from headway.controller.reference import Reference
 from headway.sim import world

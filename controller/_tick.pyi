@@ -1,0 +1,62 @@
+"""What a tick computes: generated functions and a QP solver, in one call (module.cpp)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.models._generated import Bound
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+class Solver: ...
+
+class Osqp(Solver):
+    def __init__(
+        self,
+        hessian: Array,
+        hessian_indices: Indices,
+        hessian_indptr: Indices,
+        gradient: Array,
+        constraints: Array,
+        constraints_indices: Indices,
+        constraints_indptr: Indices,
+        lower: Array,
+        upper: Array,
+        max_iterations: int,
+        tolerance: float,
+    ) -> None: ...
+
+class Feedback:
+    status: int
+    iterations: int
+    finite: bool
+    residual: float
+    accepted: bool
+    rounds: int
+    solve_us: float
+
+class Encoding:
+    def __init__(
+        self,
+        encode: Bound,
+        rollout: Bound,
+        relieve: Bound,
+        relief: Array,
+        next: Array,
+        over: Array,
+    ) -> None: ...
+    def run(self) -> int: ...
+
+class Tick:
+    def __init__(
+        self,
+        before: list[Bound],
+        solver: Solver,
+        vectors: Bound,
+        z: Array,
+        judge: Bound,
+        residual: Array,
+        encoding: Encoding,
+    ) -> None: ...
+    def prepare(self) -> bool: ...
+    def feedback(self) -> Feedback: ...

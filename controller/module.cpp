@@ -1,0 +1,59 @@
+// What a tick computes, for Python: no argument is looked at in a call, and the GIL is released.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/vector.h>
+
+#include "osqp.hpp"
+#include "tick.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using free_gil = nb::call_guard<nb::gil_scoped_release>;
+
+NB_MODULE(_tick, m) {
+    nb::module_::import_("headway.models._generated"); // knows Bound
+    m.doc() = "What a tick computes: generated functions and a QP solver, in one call.";
+    nb::class_<Solver>(m, "Solver", "A QP solver on arrays that others fill.");
+    nb::class_<Osqp, Solver>(m, "Osqp")
+        .def(
+            "__init__",
+            [](Osqp *self, Numbers p, Indices pi, Indices pp, Numbers q, Numbers a, Indices ai,
+               Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
+                new (self) Osqp({p, pi, pp}, q, {a, ai, ap}, l, u, max_iterations, tolerance);
+            },
+            "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "gradient"_a, "constraints"_a,
+            "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a,
+            "max_iterations"_a, "tolerance"_a,
+            "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
+            "that OSQP refuses.");
+    nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
+        .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
+        .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })
+        .def_ro("finite", &Feedback::finite)
+        .def_ro("residual", &Feedback::residual)
+        .def_ro("accepted", &Feedback::accepted)
+        .def_ro("rounds", &Feedback::rounds)
+        .def_ro("solve_us", &Feedback::solve_us);
+    nb::class_<Encoding>(m, "Encoding", "From a motion to tracks, and to what servos make of them.")
+        .def(
+            "__init__",
+            [](Encoding *self, Bound &encode, Bound &rollout, Bound &relieve, Array relief,
+               Array next,
+               Array over) { new (self) Encoding{encode, rollout, relieve, relief, next, over}; },
+            "encode"_a, "rollout"_a, "relieve"_a, "relief"_a, "next"_a, "over"_a,
+            nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>())
+        .def("run", &Encoding::run, free_gil(), "Returns the rounds it took.");
+    nb::class_<Tick>(m, "Tick", "A problem's way from an estimate to tracks.")
+        .def(
+            "__init__",
+            [](Tick *self, std::vector<Bound *> before, Solver &solver, Bound &vectors, Array z,
+               Bound &judge, Array residual, Encoding &encoding) {
+                new (self) Tick{before, solver, vectors, z, judge, residual, encoding};
+            },
+            "before"_a, "solver"_a, "vectors"_a, "z"_a, "judge"_a, "residual"_a, "encoding"_a,
+            nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+            nb::keep_alive<1, 6>(), nb::keep_alive<1, 8>())
+        .def("prepare", &Tick::prepare, free_gil(),
+             "Runs `before`, then has the solver take the matrices; False if it does not.")
+        .def("feedback", &Tick::feedback, free_gil());
+}

@@ -1,0 +1,38 @@
+// OSQP, in its own scaling off and ours on: Stellato et al., Math. Prog. Comp. 12, 2020.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <memory>
+#include <vector>
+
+#include "solver.hpp"
+
+extern "C" {
+#include "osqp.h"
+}
+
+using Numbers = nanobind::ndarray<double, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
+using Indices =
+    nanobind::ndarray<const OSQPInt, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
+
+struct Sparse { // by columns
+    Numbers data;
+    Indices indices, indptr;
+};
+
+class Osqp : public Solver {
+  public:
+    // P's upper half, q, A, l and u. The arrays stay where they are and are read again.
+    Osqp(Sparse hessian, Numbers gradient, Sparse constraints, Numbers lower, Numbers upper,
+         int max_iterations, double tolerance);
+    bool update() override;
+    Answer solve(double *z) override;
+    int size() const override { return (int)gradient_.size(); }
+
+  private:
+    Numbers gradient_, lower_, upper_, data_;
+    std::vector<double> idle_; // where each solution is looked for first: no deviation at all
+    std::unique_ptr<OSQPSolver, OSQPInt (*)(OSQPSolver *)> solver_{nullptr, osqp_cleanup};
+};

@@ -1,0 +1,16 @@
+// What a tick asks of a QP solver. Its data lie in arrays that others fill.
+#pragma once
+
+struct Answer {
+    int status = 0; // the solver's own
+    int iterations = 0;
+    bool good = false; // by the status alone: what it is worth others judge
+};
+
+class Solver {
+  public:
+    virtual ~Solver() = default;
+    virtual bool update() = 0;              // the matrices are new; false if it cannot
+    virtual Answer solve(double *z) = 0;    // the vectors are new; z: all variables
+    virtual int size() const = 0;           // of z
+};

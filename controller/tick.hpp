@@ -1,0 +1,39 @@
+// What a tick computes in one call: generated functions one after the other, and a solver.
+#pragma once
+
+#include <vector>
+
+#include "bound.hpp"
+#include "solver.hpp"
+
+// From a motion to tracks. Where the servos' feedback adds up to more torque than there is, the
+// torque track gives way by as much, round by round.
+struct Encoding {
+    Bound &encode, &rollout, &relieve;
+    Array relief, next; // what is taken off the torque track, and what should be
+    Array over;         // torque beyond the limits, at most [Nm]; 0 and less: none
+
+    int run() const; // rounds
+};
+
+struct Feedback {
+    Answer answer;
+    bool finite = false; // all numbers are, and of sane size
+    double residual = 0; // largest violation of a constraint, in parts of its tolerance
+    bool accepted = false;
+    int rounds = 0;
+    double solve_us = 0; // wall clock, for the record only
+};
+
+struct Tick {
+    std::vector<Bound *> before; // what can be done before the estimate is known
+    Solver &solver;
+    Bound &vectors; // fills in what the estimate decides
+    Array z;        // the solver's answer
+    Bound &judge;   // of the answer: its residual, and the motion that it is
+    Array residual;
+    Encoding &encoding;
+
+    bool prepare() const;
+    Feedback feedback() const;
+};
