@@ -150,8 +150,12 @@ class Mpc(Section):
     """
     soft_weight: ByAxis = 1.0e7
     """On what is beyond a soft limit, squared, in 1/rad^2 or 1/m^2."""
+    backend: Literal["osqp", "hpipm"] = "osqp"
+    """The solver. osqp: an operator splitting method, warm-started. hpipm: an interior-point method
+    by stages, the same time every tick.
+    """
     max_iterations: Annotated[int, Field(ge=10, le=100000)] = 150
-    """Of the solver in one tick."""
+    """Of OSQP in one tick."""
 
 
 class Estimator(Section):

@@ -26,6 +26,27 @@ class Osqp(Solver):
         tolerance: float,
     ) -> None: ...
 
+class Hpipm(Solver):
+    def __init__(
+        self,
+        bounded: list[int],
+        a: Array,
+        b0: Array,
+        b1: Array,
+        gradient: Array,
+        lower: Array,
+        upper: Array,
+        column_scale: Array,
+        row_scale: Array,
+        state: Array,
+        torque: Array,
+        step: Array,
+        approach_s: Array,
+        soft: Array,
+        max_iterations: int,
+        tolerance: float,
+    ) -> None: ...
+
 class Feedback:
     status: int
     iterations: int

@@ -3,6 +3,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
+#include "hpipm.hpp"
 #include "osqp.hpp"
 #include "tick.hpp"
 
@@ -14,18 +15,33 @@ NB_MODULE(_tick, m) {
     nb::module_::import_("headway.models._generated"); // knows Bound
     m.doc() = "What a tick computes: generated functions and a QP solver, in one call.";
     nb::class_<Solver>(m, "Solver", "A QP solver on arrays that others fill.");
-    nb::class_<Osqp, Solver>(m, "Osqp")
+    nb::class_<Osqp, Solver>(m, "Osqp").def(
+        "__init__",
+        [](Osqp *self, Numbers p, Indices pi, Indices pp, Numbers q, Numbers a, Indices ai,
+           Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
+            new (self) Osqp({p, pi, pp}, q, {a, ai, ap}, l, u, max_iterations, tolerance);
+        },
+        "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "gradient"_a, "constraints"_a,
+        "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a, "max_iterations"_a,
+        "tolerance"_a,
+        "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
+        "that OSQP refuses.");
+    nb::class_<Hpipm, Solver>(m, "Hpipm")
         .def(
             "__init__",
-            [](Osqp *self, Numbers p, Indices pi, Indices pp, Numbers q, Numbers a, Indices ai,
-               Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
-                new (self) Osqp({p, pi, pp}, q, {a, ai, ap}, l, u, max_iterations, tolerance);
+            [](Hpipm *self, std::vector<int> bounded, Matrix a, Matrix b0, Matrix b1,
+               Matrix gradient, Matrix lower, Matrix upper, Matrix column_scale, Matrix row_scale,
+               Matrix state, Matrix torque, Matrix step, Matrix approach_s, Matrix soft,
+               int max_iterations, double tolerance) {
+                int axes = (int)torque.shape(0), intervals = (int)step.shape(1);
+                new (self) Hpipm({axes, intervals, bounded, a, b0, b1, gradient, lower, upper,
+                                  column_scale, row_scale, state, torque, step, approach_s, soft},
+                                 max_iterations, tolerance);
             },
-            "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "gradient"_a, "constraints"_a,
-            "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a,
-            "max_iterations"_a, "tolerance"_a,
-            "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
-            "that OSQP refuses.");
+            "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a, "upper"_a,
+            "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a, "approach_s"_a,
+            "soft"_a, "max_iterations"_a, "tolerance"_a,
+            "Arrays in Fortran order, see hpipm.hpp; `bounded`: the axes with soft limits.");
     nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
         .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })

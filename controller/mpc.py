@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
-from headway.controller._tick import Osqp, Tick
+from headway.controller._tick import Hpipm, Osqp, Solver, Tick
 from headway.controller.estimator import Estimate
 from headway.controller.motion import Motion
 from headway.controller.ocp import Limits, Ocp
@@ -27,7 +27,11 @@ from headway.devices.remote import Points, Remote
 from headway.models.codegen import Array, Call, compile_functions
 
 OSQP_SIGINT = 10  # a Ctrl-C that OSQP has caught
-TOLERANCE = 1e-3  # in scaled units: of 1e-3 mrad, and of a thousandth of what the problem moves by
+OSQP_TOLERANCE = (
+    1e-3  # in scaled units: of 1e-3 mrad, and of a thousandth of what the problem moves by
+)
+HPIPM_TOLERANCE = 1e-4  # in scaled units
+HPIPM_ITERATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -67,16 +71,7 @@ class Mpc:
             Call(library, name, pool) for name in ("assemble", "vectors", "judge")
         )
         pool["entries"][...] = pool["constant"]
-        solver = Osqp(
-            *_by_columns(ocp.hessian),
-            pool["gradient"][:, 0],
-            pool["entries"][:, 0],
-            *_by_columns(ocp.constraints)[1:],
-            pool["lower"][:, 0],
-            pool["upper"][:, 0],
-            config.mpc.max_iterations,
-            TOLERANCE,
-        )
+        solver = _osqp(config, ocp, pool) if config.mpc.backend == "osqp" else _hpipm(ocp, pool)
         before = [linearize.bound, assemble.bound]
         answer = judge.bound, pool["residual"], encoder.encoding
         self._tick = Tick(before, solver, vectors.bound, pool["z"], *answer)
@@ -123,6 +118,34 @@ class Mpc:
         plan = (self.encoder.points(), self.encoder.rolled()) if done.accepted else None
         times = self._prepare_us, done.solve_us
         return Solution(done.status, done.iterations, done.residual, plan, *times)
+
+
+def _osqp(config: Config, ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    return Osqp(
+        *_by_columns(ocp.hessian),
+        pool["gradient"][:, 0],
+        pool["entries"][:, 0],
+        *_by_columns(ocp.constraints)[1:],
+        pool["lower"][:, 0],
+        pool["upper"][:, 0],
+        config.mpc.max_iterations,
+        OSQP_TOLERANCE,
+    )
+
+
+def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    vectors = pool["gradient"], pool["lower"], pool["upper"]
+    scales, hessian, soft = ocp.stages()
+    return Hpipm(
+        ocp.bounded.tolist(),
+        *(pool["a"], pool["b0"], pool["b1"]),
+        *vectors,
+        *scales,
+        *hessian,
+        *soft,
+        HPIPM_ITERATIONS,
+        HPIPM_TOLERANCE,
+    )
 
 
 def _by_columns(matrix: sp.csc_matrix) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:

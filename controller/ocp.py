@@ -102,7 +102,7 @@ class Ocp:
     def __init__(self, config: Config, limits: Limits) -> None:
         mpc = config.mpc
         n = self.n = len(config.machine.axes)
-        self._bounded = np.flatnonzero([not axis.continuous for axis in config.machine.axes])
+        self.bounded = np.flatnonzero([not axis.continuous for axis in config.machine.axes])
         count = self.intervals = mpc.intervals
         self.limits = limits
         self.interval_s = mpc.horizon_us * 1e-6 / count
@@ -160,7 +160,7 @@ class Ocp:
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
-        self._row_scale[self._soft_row :] = np.tile(soft[self._bounded], 2 * self.intervals)
+        self._row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
         columns = sp.diags_array(self._column_scale)
         self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
         of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
@@ -224,7 +224,7 @@ class Ocp:
             put(row, state(i + 1) + n, np.eye(n))
             row += n
         self._soft_row = row
-        own = np.eye(n)[self._bounded]
+        own = np.eye(n)[self.bounded]
         for sign in (1.0, -1.0):
             for i in range(1, count + 1):
                 put(row, state(i), sign * own)
@@ -245,6 +245,22 @@ class Ocp:
         self._dynamics_place = place[np.isnan(entries)].reshape(count, -1)
         data[np.isnan(data)] = 1.0  # anything but zero, so that the entries are kept
         self.constraints = sp.csc_matrix((data, order.indices, order.indptr), shape=order.shape)
+
+    def stages(
+        self,
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array, Array], tuple[Array, Array]]:
+        """For a solver that goes by stages: the scales of variables and constraints; the Hessian's
+        diagonal of states (2n, N+1) and of torques (n, N+1), and its steps of torque from node to
+        node (n, N); T of the soft limits and the slacks' weight (n,)."""
+        n, diagonal = self.n, self.hessian.diagonal()
+        steps = -self.hessian.diagonal(n)[self.torques][:-n].reshape(-1, n).T
+        torque = diagonal[self.torques].reshape(-1, n).T
+        torque[:, 1:] -= steps
+        torque[:, :-1] -= steps
+        state = diagonal[self.states].reshape(-1, 2 * n).T
+        hessian = np.asfortranarray(state), np.asfortranarray(torque), np.asfortranarray(steps)
+        scales = self._column_scale, self._row_scale
+        return scales, hessian, (self.limits.approach_s, self._soft_weight)
 
     def functions(self, knots: int) -> list[ca.Function]:
         """What a tick computes of the problem, for a horizon of `knots`:
@@ -297,7 +313,7 @@ class Ocp:
         soft_min, soft_max = self._soft_limits(p, start[:n])
         ahead = q + v * p["approach_s"]
         soft = soft_max - ahead, ahead - soft_min
-        room = [ca.vec(side[self._bounded.tolist(), 1:]) for side in soft]
+        room = [ca.vec(side[self.bounded.tolist(), 1:]) for side in soft]
         lower = [*equal, *(ca.vec(-limit - value) for value, limit in pairs)]
         upper = [*equal, *(ca.vec(limit - value) for value, limit in pairs), *room]
         free = ca.DM.ones(sum(side.numel() for side in room)) * -UNBOUNDED

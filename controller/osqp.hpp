@@ -13,7 +13,8 @@ extern "C" {
 #include "osqp.h"
 }
 
-using Numbers = nanobind::ndarray<double, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
+using Numbers =
+    nanobind::ndarray<double, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 using Indices =
     nanobind::ndarray<const OSQPInt, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 

@@ -84,7 +84,8 @@ Bound::Bound(const std::string &path, const std::string &name, std::vector<Array
 NB_MODULE(_generated, m) {
     m.doc() = "Functions that CasADi generated, bound to arrays.";
     m.def("shapes", &shapes, "library"_a, "name"_a,
-          "Name, rows and columns of a function's inputs, and of its outputs. Raises ValueError if one is "
+          "Name, rows and columns of a function's inputs, and of its outputs. Raises ValueError if "
+          "one is "
           "sparse, RuntimeError for a library without the function.");
     nb::class_<Bound>(m, "Bound", "A function of a library and its arrays, which it keeps.")
         .def(nb::init<const std::string &, const std::string &, std::vector<Array>,
