@@ -1,5 +1,7 @@
 """What a tick computes: generated functions and a QP solver, in one call (module.cpp)."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,7 +10,15 @@ from headway.models._generated import Bound
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-class Solver: ...
+class Answer:
+    def __init__(self, status: int, iterations: int, good: bool) -> None: ...
+
+class Solver:
+    def update(self) -> bool: ...
+    def solve(self, z: Array) -> Answer: ...
+
+class Stranger(Solver):
+    def __init__(self, size: int, answer: Callable[[], tuple[Array, Answer]]) -> None: ...
 
 class Osqp(Solver):
     def __init__(
@@ -50,7 +60,6 @@ class Hpipm(Solver):
 class Feedback:
     status: int
     iterations: int
-    finite: bool
     residual: float
     accepted: bool
     rounds: int
@@ -79,5 +88,5 @@ class Tick:
         residual: Array,
         encoding: Encoding,
     ) -> None: ...
-    def prepare(self) -> bool: ...
+    def prepare(self) -> None: ...
     def feedback(self) -> Feedback: ...

@@ -6,7 +6,7 @@
 #include <cstdint>
 
 // At rest within this: an equality has no interior, which the method needs.
-static constexpr double REST = 1e-3;
+static constexpr double REST = 1e-5;
 
 Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move(stages)) {
     int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size();
@@ -240,7 +240,7 @@ Answer Hpipm::solve(double *z) {
         std::copy_n(m, 2 * n, z + i * 2 * n);
         std::copy_n(m + 2 * n, n, torques + i * n);
     }
-    std::fill(torques + n * (count + 1), z + size(), 0.0); // its slacks stay with it
+    std::fill(torques + n * (count + 1), z + p_.gradient.size(), 0.0); // its slacks stay with it
     // At its limit of iterations the residual decides.
     return {status, iterations, status == SUCCESS || status == MAX_ITER};
 }

@@ -36,7 +36,6 @@ class Hpipm : public Solver {
     Hpipm(const Hpipm &) = delete;
     bool update() override;
     Answer solve(double *z) override;
-    int size() const override { return (int)p_.gradient.size(); }
 
   private:
     void set_constant();

@@ -1,7 +1,11 @@
 // What a tick computes, for Python: no argument is looked at in a call, and the GIL is released.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <stdexcept>
 
 #include "hpipm.hpp"
 #include "osqp.hpp"
@@ -11,10 +15,42 @@ namespace nb = nanobind;
 using namespace nb::literals;
 using free_gil = nb::call_guard<nb::gil_scoped_release>;
 
+// A function of Python's in a solver's place: () -> (variables, Answer). Tests have such.
+struct Stranger : Solver {
+    Stranger(int size, nb::callable answer) : size_((size_t)size), answer_(std::move(answer)) {}
+    bool update() override { return true; }
+    Answer solve(double *z) override {
+        nb::gil_scoped_acquire gil;
+        auto [values, answer] = nb::cast<std::pair<Numbers, Answer>>(answer_());
+        if (values.size() != size_)
+            throw std::invalid_argument("the variables are of another size");
+        std::copy_n(values.data(), size_, z);
+        return answer;
+    }
+
+  private:
+    size_t size_;
+    nb::callable answer_;
+};
+
 NB_MODULE(_tick, m) {
     nb::module_::import_("headway.models._generated"); // knows Bound
     m.doc() = "What a tick computes: generated functions and a QP solver, in one call.";
-    nb::class_<Solver>(m, "Solver", "A QP solver on arrays that others fill.");
+    nb::class_<Answer>(m, "Answer", "What a solver says of its answer.")
+        .def(
+            "__init__",
+            [](Answer *self, int status, int iterations, bool good) {
+                new (self) Answer{status, iterations, good};
+            },
+            "status"_a, "iterations"_a, "good"_a);
+    nb::class_<Solver>(m, "Solver", "A QP solver on arrays that others fill.")
+        .def("update", &Solver::update, free_gil(), "Takes new matrices; False if it cannot.")
+        .def(
+            "solve", [](Solver &solver, Numbers z) { return solver.solve(z.data()); }, "z"_a,
+            "Solves for new vectors, into z.");
+    nb::class_<Stranger, Solver>(m, "Stranger", "A function in a solver's place.")
+        .def(nb::init<int, nb::callable>(), "size"_a, "answer"_a,
+             "size: of the variables; answer: () -> (variables, Answer).");
     nb::class_<Osqp, Solver>(m, "Osqp").def(
         "__init__",
         [](Osqp *self, Numbers p, Indices pi, Indices pp, Numbers q, Numbers a, Indices ai,
@@ -45,7 +81,6 @@ NB_MODULE(_tick, m) {
     nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
         .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })
-        .def_ro("finite", &Feedback::finite)
         .def_ro("residual", &Feedback::residual)
         .def_ro("accepted", &Feedback::accepted)
         .def_ro("rounds", &Feedback::rounds)
@@ -70,6 +105,6 @@ NB_MODULE(_tick, m) {
             nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
             nb::keep_alive<1, 6>(), nb::keep_alive<1, 8>())
         .def("prepare", &Tick::prepare, free_gil(),
-             "Runs `before`, then has the solver take the matrices; False if it does not.")
+             "Runs `before`, then has the solver take the matrices.")
         .def("feedback", &Tick::feedback, free_gil());
 }

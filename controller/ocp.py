@@ -385,8 +385,10 @@ class Ocp:
             "z": z, "x": x, "around": u, "a": a, "b0": b0, "b1": b1, "lower": lower, "upper": upper,
             "parameters": self._vector,
         }  # fmt: skip
+        # The largest of numbers hides one that is not a number; their sum does not.
+        judged = ca.vertcat(residual, ca.sum1(value))
         outputs = {
-            "residual": residual, "position": position, "velocity": velocity, "torque": torque,
+            "residual": judged, "position": position, "velocity": velocity, "torque": torque,
         }  # fmt: skip
         return named_function("judge", inputs, outputs)
 

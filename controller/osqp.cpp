@@ -42,12 +42,17 @@ bool Osqp::update() {
                                 (OSQPInt)data_.size()) == 0;
 }
 
+void Osqp::forget() {
+    osqp_cold_start(solver_.get());
+    osqp_update_rho(solver_.get(), OSQP_RHO);
+}
+
 Answer Osqp::solve(double *z) {
     OSQPSolver *s = solver_.get();
     if (osqp_update_data_vec(s, gradient_.data(), lower_.data(), upper_.data()) ||
         osqp_warm_start(s, idle_.data(), nullptr) || osqp_solve(s))
         return {};
-    std::copy_n(s->solution->x, size(), z);
+    std::copy_n(s->solution->x, idle_.size(), z);
     OSQPInt status = s->info->status_val;
     bool good = status == OSQP_SOLVED || status == OSQP_SOLVED_INACCURATE ||
                 status == OSQP_MAX_ITER_REACHED; // then the residual decides

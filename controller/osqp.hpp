@@ -30,7 +30,7 @@ class Osqp : public Solver {
          int max_iterations, double tolerance);
     bool update() override;
     Answer solve(double *z) override;
-    int size() const override { return (int)gradient_.size(); }
+    void forget() override;
 
   private:
     Numbers gradient_, lower_, upper_, data_;

@@ -10,7 +10,7 @@ struct Answer {
 class Solver {
   public:
     virtual ~Solver() = default;
-    virtual bool update() = 0;           // the matrices are new; false if it cannot
+    virtual bool update() = 0;           // the matrices are new; false if it cannot take them
     virtual Answer solve(double *z) = 0; // the vectors are new; z: all variables
-    virtual int size() const = 0;        // of z
+    virtual void forget() {}             // begins anew: its last answer was no good
 };

@@ -1,6 +1,7 @@
 // What a tick computes in one call: generated functions one after the other, and a solver.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "bound.hpp"
@@ -18,8 +19,7 @@ struct Encoding {
 
 struct Feedback {
     Answer answer;
-    bool finite = false; // all numbers are, and of sane size
-    double residual = 0; // largest violation of a constraint, in parts of its tolerance
+    double residual = INFINITY; // largest violation of a constraint, in parts of its tolerance
     bool accepted = false;
     int rounds = 0;
     double solve_us = 0; // wall clock, for the record only
@@ -31,9 +31,10 @@ struct Tick {
     Bound &vectors; // fills in what the estimate decides
     Array z;        // the solver's answer
     Bound &judge;   // of the answer: its residual, and the motion that it is
-    Array residual;
+    Array residual; // and a sum of all that it was judged by
     Encoding &encoding;
+    bool ready = false; // the solver has taken the matrices
 
-    bool prepare() const;
+    void prepare();
     Feedback feedback() const;
 };

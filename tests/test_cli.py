@@ -80,7 +80,7 @@ SHAPE: dict[str, Any] = {
     },
     "compute_us": {"p50": float, "p99": float, "p999": float, "max": float},
     "compute_split_us": {
-        step: {"p50": float, "p99": float} for step in ("estimate", "linearize", "solve", "encode")
+        step: {"p50": float, "p99": float} for step in ("estimate", "prepare", "solve", "encode")
     },
     "solver": {"ticks": int, "accepted": int, "rejected": int, "iterations_p50": float},
     "frames": {"sent": int, "lost": int, "late_points": int, "gate_refused": int},

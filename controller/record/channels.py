@@ -129,7 +129,7 @@ _ALL = (
     _channel(
         "solver",
         "What the solver did in a tick",
-        Field("status", "int", "", "OSQP's: 1 solved, 2 inaccurate, 7 stopped at the cap"),
+        Field("status", "int", "", "the solver's; OSQP: 1 solved, 2 inaccurate, 7 at its cap"),
         Field("usable", "bool", "", "the answer passed our checks"),
         Field("iterations", "int", "", ""),
         Field("residual", "double", "", "of the constraints, in parts of what is allowed"),
@@ -139,9 +139,9 @@ _ALL = (
         "Computing times of a tick by the wall clock: no part of log_sha256",
         Field("compute_us", "double", "us", "the whole tick"),
         Field("estimate_us", "double", "us", "filter and prediction"),
-        Field("linearize_us", "double", "us", "model and program; NaN without a solver"),
-        Field("solve_us", "double", "us", "OSQP; NaN without a solver"),
-        Field("encode_us", "double", "us", "tracks and checks"),
+        Field("prepare_us", "double", "us", "model and factors, before it; NaN: no solver"),
+        Field("solve_us", "double", "us", "the solver and our check; NaN: no solver"),
+        Field("encode_us", "double", "us", "reference, tracks and gate"),
         deterministic=False,
     ),
     _channel(

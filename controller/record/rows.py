@@ -93,12 +93,12 @@ def _tick(
     yield "tick", now_us, (*outcome, *(unknown if each is None else each for each in torques))
     yield "now", now_us, now
     yield "commit", commit_us, commit
-    linearize_us = solve_us = nan
+    prepare_us = solve_us = nan
     if solver is not None:
-        outcome, (linearize_us, solve_us) = solver
+        outcome, (prepare_us, solve_us) = solver
         yield "solver", now_us, outcome
     total_us, estimate_us, encode_us = split_us
-    yield "timing", now_us, (total_us, estimate_us, linearize_us, solve_us, encode_us)
+    yield "timing", now_us, (total_us, estimate_us, prepare_us, solve_us, encode_us)
 
 
 ZERO: dict[str, Any] = {"int": 0, "bool": False, "int list": ()}

@@ -130,14 +130,14 @@ def latency(config: str, result: dict[str, Any]) -> list[dict[str, Any]]:
     """From an encoder sample to the torque it changes, by stage, in microseconds."""
     c = load_config(CONFIGS / config)
     knot, wire = c.loop.knot_us, c.sim.to_device
-    solve = result["linearize_us"] + result["solve_us"] + result["encode_us"]
+    solve = result["solve_us"] + result["encode_us"]
     stages = [
         ("sample: its age when the status leaves", result["sample"], "measured mean"),
         ("wire to the host", result["wire"], "measured mean"),
         ("wait for the tick", result["wait"], "measured mean; ticks lie on knots"),
         ("computing, as simulated", result["compute"], "sim.compute_us, a measured p99.9"),
         ("  of which estimate", result["estimate_us"], "measured median"),
-        ("  of which linearize, solve, encode", solve, "measured median"),
+        ("  of which solve, encode", solve, "measured median"),
         ("wire to the device", wire.delay_us, f"as configured, +- {wire.jitter_us}"),
         ("first knot that may change, from the tick", c.loop.margin_us, "the margin"),
         ("effective torque, from there", 2 * knot, "a new point first weighs u^3/6"),

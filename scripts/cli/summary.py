@@ -44,7 +44,7 @@ def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, A
         "compute_us": _percentiles(arrays["timing_compute_us"], p50=50, p99=99, p999=99.9, max=100),
         "compute_split_us": {
             step: _percentiles(arrays[f"timing_{step}_us"], p50=50, p99=99)
-            for step in ("estimate", "linearize", "solve", "encode")
+            for step in ("estimate", "prepare", "solve", "encode")
         },
         "solver": _solver(lockstep, arrays),
         "frames": _frames(lockstep),

@@ -13,7 +13,7 @@ from headway.cli.page.shown import Shown
 # Fields of the channel `timing`, in the order in which they happen.
 STEPS = {
     "estimate": "estimate",
-    "linearize": "linearize",
+    "prepare": "prepare",
     "solve": "solve",
     "encode": "encode",
     "compute": "whole tick",
