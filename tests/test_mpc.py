@@ -78,7 +78,7 @@ def problems(backend: str) -> list[Problem]:
     return seen
 
 
-@pytest.mark.parametrize(("backend", "tolerance"), [("osqp", 0.03), ("hpipm", 1e-3)])
+@pytest.mark.parametrize(("backend", "tolerance"), [("osqp", 0.2), ("hpipm", 1e-3)])
 def test_a_solver_finds_what_another_one_finds(backend: str, tolerance: float) -> None:
     """In the cost, and in the states that it weighs, in units of a millirad. What comes after them
     only has to stop, and one way is as good as another."""
