@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from headway.models._generated import Bound, shapes
 
 Array = NDArray[np.float64]
+
+FLAGS = "-O3", "-march=native", "-fPIC", "-shared"  # a quarter faster than without the first two
 
 
 def cache_dir() -> Path:
@@ -37,11 +40,21 @@ def compile_functions(name: str, functions: list[ca.Function]) -> Path:
     for function in functions:
         generator.add(function)
     source = generator.dump()
-    digest = hashlib.sha256((source + ca.CasadiMeta.version()).encode()).hexdigest()[:20]
+    made_of = source + ca.CasadiMeta.version() + " ".join(FLAGS) + _processor()
+    digest = hashlib.sha256(made_of.encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
     if not _intact(library):
         _build(name, source, library)
     return library
+
+
+def _processor() -> str:
+    """What the compiler may count on here: a cache can be shared with other computers."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
 def _seal(content: bytes) -> bytes:
@@ -67,7 +80,7 @@ def _build(name: str, source: str, library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         c_file, built = Path(folder, "model.c"), Path(folder, "model.so")
         c_file.write_text(source)
-        command = [compiler, "-O2", "-fPIC", "-shared", "-o", str(built), str(c_file), "-lm"]
+        command = [compiler, *FLAGS, "-o", str(built), str(c_file), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")

@@ -64,11 +64,11 @@ def joints_in(model: mujoco.MjModel) -> list[str]:
     return [model.joint(j).name for j in range(model.njnt)]
 
 
-@pytest.fixture(params=["arm2", *range(12)], scope="module")
+@pytest.fixture(params=["arm2", "arm6", *range(12)], scope="module")
 def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Path of a model: the shipped arm, then random trees."""
-    if request.param == "arm2":
-        return ARM2
+    """Path of a model: the shipped ones, then random trees."""
+    if isinstance(request.param, str):
+        return ROOT / "models" / request.param / f"{request.param}.xml"
     path = tmp_path_factory.mktemp("tree") / "tree.xml"
     path.write_text(random_mjcf(request.param))
     return path
