@@ -17,6 +17,8 @@ def save_config(config: Config, base: Path, path: Path) -> None:
     """
     tree = config.model_dump(mode="json")
     tree["machine"]["model"] = str((base / config.machine.model).resolve())
+    if config.task.file is not None:
+        tree["task"]["file"] = str((base / config.task.file).resolve())
     yaml = YAML(typ="safe")
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = None  # keys in the schema's order

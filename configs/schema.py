@@ -111,14 +111,39 @@ class Sync(Section):
 
 
 class Task(Section):
-    """What to do: follow a sine on each axis, turning on and on where that is asked for."""
+    """What to do. Each kind has keys of its own."""
 
-    kind: Literal["sines"]
-    """The kind of task."""
-    frequency_Hz: Positive
-    """Of the sine whose harmonic is 1."""
-    axes: list[Sine]
-    """A sine for each axis."""
+    kind: Literal["sines", "track", "regulate"]
+    """sines: to follow a sine on each axis, turning on and on where that is asked for. track: to
+    follow the positions in a file. regulate: to go somewhere and to stay there.
+    """
+    frequency_Hz: Positive | None = None
+    """sines: of the sine whose harmonic is 1."""
+    axes: list[Sine] = Field(default=[])
+    """sines: a sine for each axis."""
+    file: str | None = None
+    """track: a CSV file with the columns time_s and one for each joint, by its name, in rad or m;
+    relative to this config. Between its rows the motion is a cubic spline, at rest at both ends.
+    """
+    target_rad_or_m: list[Finite] | None = None
+    """regulate: a position for each axis."""
+
+    @model_validator(mode="after")
+    def _has_its_keys(self) -> Task:
+        own = {
+            "sines": ("frequency_Hz", "axes"),
+            "track": ("file",),
+            "regulate": ("target_rad_or_m",),
+        }
+        given = {key for keys in own.values() for key in keys if getattr(self, key)}
+        missing = [key for key in own[self.kind] if key not in given]
+        if missing:
+            raise ValueError(f"a task of the kind {self.kind} needs {' and '.join(missing)}")
+        if others := sorted(given - set(own[self.kind])):
+            raise ValueError(
+                f"a task of the kind {self.kind} has no {' and '.join(others)}: leave it out"
+            )
+        return self
 
 
 class Mpc(Section):
@@ -372,7 +397,8 @@ class Config(Section):
     def _consistent(self) -> Config:
         n = len(self.machine.axes)
         lists: dict[str, object] = {
-            "task.axes": self.task.axes,
+            "task.axes": self.task.axes or None,
+            "task.target_rad_or_m": self.task.target_rad_or_m,
             "mpc.position_weight": self.mpc.position_weight,
             "mpc.velocity_weight": self.mpc.velocity_weight,
             "mpc.soft_weight": self.mpc.soft_weight,
@@ -417,22 +443,33 @@ class Config(Section):
             raise ValueError("; ".join(mistakes))
         return self
 
-    def _of_axis(self, index: int) -> list[str]:
-        """What does not fit together about one axis: its kind, and where it starts."""
-        axis, sine, start = self.machine.axes[index], self.task.axes[index], self.sim.start_rad_or_m
+    @staticmethod
+    def _of_sine(axis: Axis, sine: Sine, index: int) -> str | None:
         if sine.unit != axis.unit:
-            return [
+            return (
                 f"task.axes.{index} is in {sine.unit}, but {axis.joint} moves in {axis.unit}: "
                 f"use offset_{axis.unit} and amplitude_{axis.unit}"
-            ]
-        key, position = f"task.axes.{index}", sine.start
-        if start is not None:
-            key, position = f"sim.start_rad_or_m.{index}", start[index]
+            )
         if sine.rate != 0 and not axis.continuous:
-            return [
+            return (
                 f"task.axes.{index}.rate_rad_per_s would take {axis.joint} out of its range: "
                 f"remove it, or give machine.axes.{index} continuous: true instead of a range"
-            ]
+            )
+        return None
+
+    def _of_axis(self, index: int) -> list[str]:
+        """What does not fit together about one axis: its kind, and where it starts."""
+        axis, start = self.machine.axes[index], self.sim.start_rad_or_m
+        if start is not None:
+            key, position = f"sim.start_rad_or_m.{index}", start[index]
+        elif self.task.target_rad_or_m is not None:
+            key, position = f"task.target_rad_or_m.{index}", self.task.target_rad_or_m[index]
+        elif self.task.axes:
+            key, position = f"task.axes.{index}", self.task.axes[index].start
+        else:
+            return []  # it starts where its file does
+        if self.task.axes and (wrong := self._of_sine(axis, self.task.axes[index], index)):
+            return [wrong]
         if axis.continuous and abs(position) * axis.counts_per_unit >= COUNTS:
             most = COUNTS / axis.counts_per_unit
             return [

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from headway.configs.schema import Task
+from headway.configs.schema import Config, Task
 
 Array = NDArray[np.float64]
 
 ENTRY_S = 0.5  # from rest onto the task's reference
+PERIODS_MAX = 10.0  # of sines that do not repeat
+ROWS_FASTEST = 4.0  # rows of a file in which something may begin and end
 
 
 class Reference(Protocol):
@@ -21,16 +26,42 @@ class Reference(Protocol):
         """Position [rad or m], velocity, acceleration at times (m,) of the task: each (m, axes)."""
 
 
+class TaskReference(Reference, Protocol):
+    """A task's own motion."""
+
+    @property
+    def period_s(self) -> float:
+        """After this long nothing new comes."""
+
+    @property
+    def fastest_s(self) -> float:
+        """How long its fastest part takes."""
+
+
+def task_reference(config: Config, folder: Path) -> TaskReference:
+    """Of a config whose relative paths start at `folder`. Raises ValueError for a file that cannot
+    be followed."""
+    task = config.task
+    if task.file is not None:
+        joints = [axis.joint for axis in config.machine.axes]
+        return Stamped.read((folder / task.file).resolve(), joints)
+    if task.target_rad_or_m is not None:
+        return Target(np.array(task.target_rad_or_m))
+    return Sines(task)
+
+
 class Sines:
     """offset + rate t + amplitude sin(2 pi harmonic f t + phase) on each axis."""
 
     def __init__(self, task: Task) -> None:
+        assert task.frequency_Hz is not None
+        self._frequency_Hz = task.frequency_Hz
         self._offset = np.array([a.offset for a in task.axes])
         self._amplitude = np.array([a.amplitude for a in task.axes])
         self._phase = np.array([a.phase_rad for a in task.axes])
         self._rate = np.array([a.rate for a in task.axes])
-        harmonic = np.array([a.harmonic for a in task.axes])
-        self._angular = 2 * np.pi * task.frequency_Hz * harmonic
+        self._harmonic = np.array([a.harmonic for a in task.axes])
+        self._angular = 2 * np.pi * task.frequency_Hz * self._harmonic
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         angle = np.outer(time_s, self._angular) + self._phase
@@ -38,6 +69,82 @@ class Sines:
         position = self._offset + self._amplitude * sine + np.outer(time_s, self._rate)
         velocity = self._amplitude * self._angular * cosine + self._rate
         return position, velocity, -self._amplitude * self._angular**2 * sine
+
+    @property
+    def period_s(self) -> float:
+        """Where an axis turns on and on it does not repeat: several periods of the base frequency,
+        and at least one turn of each."""
+        turns_s = [2 * np.pi / abs(rate) for rate in self._rate if rate != 0]
+        repeats = not turns_s and np.all(self._harmonic == np.round(self._harmonic))
+        periods_s = (1.0 if repeats else PERIODS_MAX) / self._frequency_Hz
+        return float(max(periods_s, *turns_s, 0.0))
+
+    @property
+    def fastest_s(self) -> float:
+        return float(1 / (self._frequency_Hz * self._harmonic.max()))
+
+
+class Target:
+    """A position to be at."""
+
+    period_s = fastest_s = 1.0
+
+    def __init__(self, position: Array) -> None:
+        self._position = position
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        still = np.zeros((len(time_s), len(self._position)))
+        return np.tile(self._position, (len(time_s), 1)), still, still.copy()
+
+
+class Stamped:
+    """Positions at times, as a cubic spline at rest at both ends, where it stays (de Boor, A
+    Practical Guide to Splines, chapter IV)."""
+
+    def __init__(self, time_s: Array, position: Array) -> None:
+        self._begin_s, self._end_s = float(time_s[0]), float(time_s[-1])
+        self._spline = CubicSpline(time_s, position, bc_type="clamped")
+        self.period_s = self._end_s - self._begin_s
+        self.fastest_s = float(np.diff(time_s).min()) * ROWS_FASTEST
+
+    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
+        """Time 0 of the task is the first row's."""
+        t = time_s + self._begin_s
+        moving = ((t > self._begin_s) & (t < self._end_s))[:, None]
+        t = np.clip(t, self._begin_s, self._end_s)
+        position, v, a = (self._spline(t, order) for order in range(3))
+        return position, np.where(moving, v, 0), np.where(moving, a, 0)
+
+    @classmethod
+    def read(cls, path: Path, joints: list[str]) -> Stamped:
+        """A CSV file with the columns time_s and one a joint, in any order.
+
+        Raises ValueError with the line of what is wrong.
+        """
+        try:
+            rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        except (OSError, UnicodeError) as error:
+            raise ValueError(f"task.file: {path}: cannot be read: {error}") from error
+        head, wanted = [name.strip() for name in rows[0]] if rows else [], ["time_s", *joints]
+        if sorted(head) != sorted(wanted):
+            raise ValueError(
+                f"task.file: {path}: line 1 names the columns {', '.join(head)}; the config's "
+                f"machine needs {', '.join(wanted)}"
+            )
+        order, values = [head.index(name) for name in wanted], []
+        for number, row in enumerate(rows[1:], 2):
+            try:
+                values.append([float(row[i]) for i in order])
+            except (ValueError, IndexError):
+                values.append([np.nan])
+            if len(row) != len(head) or not np.isfinite(values[-1]).all():
+                raise ValueError(f"task.file: {path}: line {number} is not {len(head)} numbers")
+            if len(values) > 1 and values[-1][0] <= values[-2][0]:
+                raise ValueError(f"task.file: {path}: line {number}: time_s does not increase")
+        if len(values) < 2:
+            raise ValueError(f"task.file: {path}: has {len(values)} rows; a motion needs two")
+        table = np.array(values)
+        return cls(table[:, 0], table[:, 1:])
 
 
 class Entry:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from headway.configs.schema import Config
-from headway.controller.reference import Sines
+from headway.controller.reference import task_reference
 from headway.devices.axis import TURN
 from headway.devices.bus import Bus as Marks
 from headway.devices.core import COAST_KNOTS
@@ -29,7 +29,7 @@ class World:
         seeds = np.random.SeedSequence(config.seed).spawn(4 + 2 * n)
         world, outliers, *wires, nonces, clocks = (np.random.default_rng(s) for s in seeds)
         self.outliers = outliers  # draws which samples are replaced by nonsense
-        self.reference = Sines(config.task)
+        self.reference = task_reference(config, folder)
         start = start_of(config, self.reference)
         period_us = config.device.servo_period_us
         self.plant = Plant(self.model, config.machine, config.sim.plant, period_us, start)

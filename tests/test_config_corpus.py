@@ -279,14 +279,23 @@ VALUES = [
     edit("too small", "12288", "12", ("25:14", f"{RANGE_MARGIN} (given: 12)")),
     edit("negative", "gear: 30", "gear: -30", ("12:21", "from 1e-9 to 1e12 (given: -30)")),
     edit(
-        "NaN", "0.45", ".nan", ("28:17", "must be a number from 1e-9 to 1e12, in Hz (given: .nan)")
+        "NaN",
+        "0.45",
+        ".nan",
+        ("28:17", "must be a number from 1e-9 to 1e12, in Hz, or null (given: .nan)"),
     ),
     edit("infinite", "0.45", "-.inf", ("28:17", "(given: -.inf)")),
     edit("NaN as in Python", "0.45", "nan", ("28:17", "(given: 'nan')")),
     edit("huge integer", "12288", "9" * 5000, ("25:14", f"{RANGE_MARGIN} (given: .inf)")),
     edit("huge number", "0.45", "1e400", ("28:17", "(given: .inf)")),
     edit("long text", "0.45", "x" * 3000, ("28:17", "(given: '" + 60 * "x" + "...')")),
-    edit("null", "frequency_Hz: 0.45", "frequency_Hz:", ("28:3", "in Hz (given: nothing)")),
+    edit("null", "knot_us: 4096", "knot_us:", ("24:3", "(given: nothing)")),
+    edit(
+        "a kind's key is missing",
+        "frequency_Hz: 0.45",
+        "frequency_Hz:",
+        ("26:1", "a task of the kind sines needs frequency_Hz"),
+    ),
     edit(
         "a list of one", "gear: 30", "gear: [30]", ("12:15", "a list of 1); write 30 without brack")
     ),
@@ -597,7 +606,6 @@ OVERRIDES = [
     override("sync.to_device_least_us=-1", "sync.to_device_least_us: must be a whole number from"),
     override("sync.to_host_least_us=1000001", "sync.to_host_least_us: must be a whole number"),
     override("sync.least_us=5", "sync.least_us: unknown key"),
-    override("task.axes=[]", "task.axes: has 0 entries; the machine has 2 axes"),
 ]
 
 CORPUS = UNITS + KEYS + VALUES + MANY + SYNTAX + OVERRIDES

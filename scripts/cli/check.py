@@ -73,7 +73,7 @@ def _rules(config: Path, overrides: list[str]) -> list[Rule]:
     name = "model: fits the config"
     path = (config.parent / checked.machine.model).resolve()
     try:
-        subject = Subject(checked, path)
+        subject = Subject(checked, path, config.parent)
     except ValueError as error:
         return [*rules, Rule(name, Status.FAIL, remedy=" ".join(str(error).split()))]
     return [*rules, Rule(name, Status.OK), *all_rules(subject)]

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
 from headway.configs.schema import Config
-from headway.controller.reference import Sines
-from headway.devices.axis import TURN
+from headway.controller.reference import task_reference
 from headway.models.envelope import Envelope, envelope
 from headway.models.machine import Machine, load_machine
 from headway.models.stated import Joint, stated
@@ -23,8 +22,7 @@ from headway.sim.plant import start_of
 
 Array = NDArray[np.float64]
 
-SAMPLES = 64  # of the fastest sine's period, at least
-PERIODS_MAX = 10.0  # of the base frequency, where the task does not repeat after one
+SAMPLES = 64  # of what takes the least time, at least
 STOP_POINTS = 9  # along a stop, at which its efforts are judged
 STOP_PHASES = 64  # of the reference, from which stops are judged
 STOPS_S = np.geomspace(1e-3, 10.0, 100).tolist()  # times to stop in that are tried, shortest first
@@ -44,15 +42,15 @@ class Motion:
 class Subject:
     """A config with its model. Raises ValueError where they do not fit together."""
 
-    def __init__(self, config: Config, path: Path) -> None:
-        """`path`: of the model file."""
+    def __init__(self, config: Config, path: Path, folder: Path | None = None) -> None:
+        """`path`: of the model file; `folder`: where a task's file is looked for."""
         self.config = config
         self.machine: Machine = load_machine(path)
         self.axes: list[Axis] = config.machine.axes
         names = tuple(axis.joint for axis in self.axes)
         self.machine.require_axes(names)
         self.joints: list[Joint] = stated(path, names)
-        self.reference = Sines(config.task)
+        self.reference = task_reference(config, folder or Path())
         start = start_of(config, self.reference)
         self.start: Array = np.array(start)
         period_us = config.device.servo_period_us
@@ -80,16 +78,9 @@ class Subject:
 
     @cached_property
     def motion(self) -> Motion:
-        """The task over its period, but no longer than it lasts. Where an axis turns on and on it
-        does not repeat: several periods, and at least one turn of each."""
-        task = self.config.task
-        harmonics = np.array([sine.harmonic for sine in task.axes])
-        turns_s = [TURN / abs(sine.rate) for sine in task.axes if sine.rate != 0]
-        repeats = not turns_s and np.all(harmonics == np.round(harmonics))
-        periods_s = (1.0 if repeats else PERIODS_MAX) / task.frequency_Hz
-        length_s = min(max(periods_s, *turns_s, 0.0), self.config.duration_s)
-        fastest_s = 1 / (task.frequency_Hz * float(harmonics.max()))
-        step_s = min(self.config.loop.knot_us * 1e-6, fastest_s / SAMPLES)
+        """The task over its period, but no longer than it lasts."""
+        length_s = min(self.reference.period_s, self.config.duration_s)
+        step_s = min(self.config.loop.knot_us * 1e-6, self.reference.fastest_s / SAMPLES)
         time_s = np.arange(0, length_s, step_s)
         q, v, a = self.reference.at(time_s)
         return Motion(time_s, q, v, a, self.effort(q, v, a))
