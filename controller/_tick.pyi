@@ -90,3 +90,45 @@ class Tick:
     ) -> None: ...
     def prepare(self) -> None: ...
     def feedback(self) -> Feedback: ...
+
+class Rows:
+    """Samples in the order of their stamps and the filter after each, a row a sample: z (m, 3n),
+    covariance (m, 3n, 3n), normalized innovation squared, outliers in a row by axis (m, n)."""
+
+    def __init__(
+        self,
+        time_us: Indices,
+        axis: Indices,
+        position: Array,
+        z: Array,
+        covariance: Array,
+        nis: Array,
+        rejected: Indices,
+    ) -> None: ...
+
+class Filter:
+    """An extended Kalman filter over z = [q, v, d]."""
+
+    def __init__(
+        self,
+        step: Bound,
+        acceleration: Array,
+        walk: Array,
+        reading: Array,
+        start: Array,
+        nis_max: float,
+        in_a_row: int,
+    ) -> None: ...
+    def run(
+        self,
+        z: Array,
+        covariance: Array,
+        times_us: Indices,
+        tracks: Array,
+        rows: Rows,
+        first: int,
+        last: int,
+    ) -> None:
+        """Carries z and its covariance, in place, through steps whose start, middle and end are
+        `times_us` (m, 3), along `tracks` (3m, 5n) at those. Rows first .. last - 1 are taken in,
+        and filled in, where a step ends at their time. Raises ValueError for other sizes."""

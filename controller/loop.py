@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
-from headway.controller.estimator import Estimate, Estimator, Sample
+from headway.controller.estimator import Estimate, Estimator
 from headway.controller.feedforward import Feedforward
 from headway.controller.gains import Gains
 from headway.controller.motion import Motion
@@ -25,6 +25,7 @@ from headway.controller.mpc import Mpc
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.recorder import Recorder
 from headway.controller.reference import ENTRY_S, Entry, Reference
+from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
 from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "filter.hpp"
 #include "hpipm.hpp"
 #include "osqp.hpp"
 #include "tick.hpp"
@@ -32,6 +33,52 @@ struct Stranger : Solver {
     size_t size_;
     nb::callable answer_;
 };
+
+using Times = nb::ndarray<const int64_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Tracks = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using State = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+static void run(Filter &filter, const State &z, const Square &covariance, const Times &times_us,
+                const Tracks &tracks, const Rows &rows, size_t first, size_t last) {
+    size_t n = filter.axes(), count = times_us.shape(0);
+    if (z.size() != 3 * n || covariance.shape(0) != 3 * n || covariance.shape(1) != 3 * n ||
+        tracks.shape(0) != 3 * count || tracks.shape(1) != filter.track_rows())
+        throw std::invalid_argument("a state or tracks of another size than the filter's");
+    if (first < last && (first == 0 || last > rows.position.size()))
+        throw std::invalid_argument("no such rows");
+    nb::gil_scoped_release free;
+    filter.run(z.data(), covariance.data(), {count, times_us.data(), tracks.data()}, rows, first,
+               last);
+}
+
+static void bind_filter(nb::module_ &m) {
+    nb::class_<Rows>(m, "Rows", "Samples in order and the filter after each, a row a sample.")
+        .def(
+            "__init__",
+            [](Rows *self, Integers time_us, Integers axis, Array position, Array z,
+               Array covariance, Array nis, Integers rejected) {
+                new (self) Rows{time_us, axis, position, z, covariance, nis, rejected};
+            },
+            "time_us"_a, "axis"_a, "position"_a, "z"_a, "covariance"_a, "nis"_a, "rejected"_a);
+    nb::class_<Filter>(m, "Filter", "An extended Kalman filter over z = [q, v, d].")
+        .def(
+            "__init__",
+            [](Filter *self, Bound &step, Array acceleration, Array walk, Array reading,
+               Array start, double nis_max, int64_t in_a_row) {
+                new (self) Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row});
+            },
+            "step"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a, "in_a_row"_a,
+            nb::keep_alive<1, 2>(), "Raises ValueError for arrays of other sizes than the step's.")
+        .def(
+            "run", &run, "z"_a.noconvert(), "covariance"_a.noconvert(), "times_us"_a, "tracks"_a,
+            "rows"_a, "first"_a, "last"_a,
+            "Carries z and its covariance, in place, through steps whose start, middle and end are "
+            "`times_us` (m, 3), along `tracks` (3 m, 5n) at those. Rows first .. last - 1 are "
+            "taken "
+            "in, and filled in, where a step ends at their time. Raises ValueError for other "
+            "sizes.");
+}
 
 NB_MODULE(_tick, m) {
     nb::module_::import_("headway.models._generated"); // knows Bound
@@ -107,4 +154,5 @@ NB_MODULE(_tick, m) {
         .def("prepare", &Tick::prepare, free_gil(),
              "Runs `before`, then has the solver take the matrices.")
         .def("feedback", &Tick::feedback, free_gil());
+    bind_filter(m);
 }

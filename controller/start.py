@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
-from headway.controller.estimator import Sample
 from headway.controller.gains import Gains
 from headway.controller.prediction import Prediction
+from headway.controller.sample import Sample
 from headway.controller.settle import Settle
 from headway.controller.tick import DeviceError, Outbox, Phase
 from headway.devices import core

@@ -64,8 +64,9 @@ BUGS = (
     Bug(
         "delay ignored",  # what was last measured is taken for the state now
         "controller/estimator.py",
-        "self._propagate(last.time_us, [now_us], tracks)",
-        "self._propagate(now_us, [now_us], tracks)",
+        "self._carry(start, [*times_us, now_us], tracks, first)",
+        "Estimate(**vars(self._carry(start, [start_us, *times_us], tracks, first))"
+        " | {'time_us': now_us})",
         "tests/test_estimator.py::test_the_state_is_known_to_within_three_counts",
     ),
     Bug(
@@ -77,9 +78,9 @@ BUGS = (
     ),
     Bug(
         "late sample dropped",
-        "controller/estimator.py",
+        "controller/checkpoints.py",
         "if known or at == 0:",
-        "if known or at < len(self._keys):",
+        "if known or at < len(kept):",
         "tests/test_estimator.py::test_any_order_and_any_batches_give_the_same_estimate",
     ),
     Bug(

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from headway.configs.schema import Config
-from headway.controller.estimator import Sample
 from headway.controller.loop import Loop
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
+from headway.controller.sample import Sample
 from headway.controller.tick import DeviceError, Phase
 from headway.firmware import _core
 from headway.models.machine import load_machine

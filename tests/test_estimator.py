@@ -1,10 +1,12 @@
 """The estimator: independent of the order of arrival, consistent with its own model, robust."""
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -18,9 +20,9 @@ from headway.controller.estimator import (
     START_WALK_S,
     Estimate,
     Estimator,
-    Sample,
 )
 from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.sample import Sample
 from headway.models.machine import load_machine
 from headway.sim.lockstep import Lockstep
 
@@ -158,6 +160,134 @@ def test_predicting_in_steps_is_predicting_along_the_tracks() -> None:
     walk = EstimatorConfig().disturbance_noise_Nm_or_N_per_s05 ** 2 * 8192e-6
     grown = np.diag(once.covariance - now.covariance)[4:]
     np.testing.assert_allclose(grown, walk, rtol=1e-9)
+
+
+# The algebra: filterpy's filter (Labbe, Kalman and Bayesian Filters in Python), which is told of
+# each sample once and in order, and asked for the state at the end.
+
+
+@cache
+def planar3() -> Prediction:
+    machine = load_machine(ROOT / "tests" / "machines" / "planar3.xml")
+    kp, kd = np.array([60.0, 30.0, 10.0]), np.array([3.0, 1.0, 0.3])
+    law = ServoLaw(kp, kd, 0.1 * kd, np.array([12.0, 6.0, 2.0]), np.full(3, 0.05))
+    return Prediction(machine, law, 4, 8)
+
+
+class Swings:
+    """Tracks of any number of axes, each about its own place."""
+
+    def __init__(self, law: ServoLaw) -> None:
+        self._law, self._n = law, len(law.kp)
+
+    def at(self, times_us: Times, near: Array | None = None) -> Array:
+        t = (np.asarray(times_us)[:, None] - START_US) * 1e-6
+        speed = 5.0 + np.arange(self._n)
+        place = 0.3 * np.arange(1, self._n + 1)
+        r, rate = place + 0.2 * np.cos(speed * t), -0.2 * speed * np.sin(speed * t)
+        return np.hstack((r, rate, 0.5 * r, np.tile(self._law.feedback, (len(t), 1))))
+
+
+class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
+    """Steps as the machine does; the rest is filterpy's own."""
+
+    def __init__(self, model: Prediction, config: EstimatorConfig, tracks: Swings) -> None:
+        n = self._n = model.n
+        super().__init__(dim_x=3 * n, dim_z=1)
+        self._step, self._config, self._tracks = model.step, config, tracks
+        self._time_us, self._rows = START_US, [0] * n
+        position = tracks.at(np.array([START_US]))[0, :n]
+        self.x = np.concatenate((position, np.zeros(2 * n)))  # of this shape, see docs/libraries.md
+        walk = config.disturbance_noise_Nm_or_N_per_s05 * START_WALK_S**0.5
+        self._start = np.diag([*np.repeat(START_SIGMA, n), *[walk] * n]) ** 2
+        self.P = self._start
+
+    def predict_x(self, u: object = 0) -> None:
+        values = self._step.run()
+        self.x = np.concatenate((values[0][:, 0], self.x[2 * self._n :]))
+        self.F = np.vstack((values[1], np.eye(3 * self._n)[2 * self._n :]))
+
+    def carry(self, time_us: int) -> None:
+        """To a time at most 5 ms on."""
+        n, gap_us = self._n, time_us - self._time_us
+        assert gap_us <= 5000
+        if gap_us > 0:
+            inputs, dt = self._step.inputs, gap_us * 1e-6
+            inputs[0][:, 0], inputs[1][:, 0], inputs[5][0, 0] = self.x[: 2 * n], self.x[2 * n :], dt
+            middle_us = (self._time_us + time_us) // 2
+            along = self._tracks.at(np.array([self._time_us, middle_us, time_us]))
+            for target, value in zip(inputs[2:5], along, strict=True):
+                target[:, 0] = value
+            white = self._config.acceleration_noise_rad_or_m_per_s15**2
+            self.Q = np.diag([self._config.disturbance_noise_Nm_or_N_per_s05**2 * dt] * 3 * n)
+            self.Q[: 2 * n, : 2 * n] = np.kron(
+                white * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(n)
+            )
+            self.predict()
+        self._time_us = time_us
+
+    def take(self, sample: Sample) -> bool:
+        """Returns whether it was an outlier."""
+        self.carry(sample.time_us)
+        row = np.eye(3 * self._n)[sample.axis : sample.axis + 1]
+        variance = (self._config.measurement_noise_counts * PITCH) ** 2
+        spread = (row @ self.P @ row.T).item() + variance
+        if (sample.position - self.x[sample.axis]) ** 2 / spread > self._config.gate_sigma**2:
+            self._rows[sample.axis] += 1
+            if self._rows[sample.axis] % REJECTED_IN_A_ROW == 0:
+                self.P = self.P + self._start
+            return True
+        self._rows[sample.axis] = 0
+        z = np.array([sample.position])
+        self.update(z, lambda _: row, lambda x: x[sample.axis : sample.axis + 1], R=variance)
+        return False
+
+
+def swinging_samples(tracks: Swings, n: int, rng: np.random.Generator) -> list[Sample]:
+    """In order, some of one stamp, a tenth of them nonsense, and a long row of that on axis 1."""
+    samples, time_us = list[Sample](), START_US
+    for k in range(400):
+        time_us += int(rng.integers(0, 800)) * int(rng.random() < 0.7)
+        position = tracks.at(np.array([time_us]))[0, :n] + PITCH * rng.integers(-1, 2, size=n)
+        axis = k % n
+        if rng.random() < 0.1 or (axis == 1 and 150 < k < 230):
+            position += rng.choice([-1, 1]) * rng.uniform(0.5, 1)
+        samples.append(Sample(time_us, axis, float(position[axis])))
+    return sorted({sample[:2]: sample for sample in samples}.values())
+
+
+@pytest.mark.parametrize("model", [prediction, planar3])
+@pytest.mark.parametrize("count", [40, 200, 400])  # before, in and after the row of outliers
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_the_compiled_filter_is_filterpys(
+    model: Callable[[], Prediction], count: int, shuffled: bool
+) -> None:
+    rng = np.random.default_rng(11)
+    n, tracks, config = model().n, Swings(model().law), EstimatorConfig()
+    samples = swinging_samples(tracks, n, rng)[:count]
+    oracle = Oracle(model(), config, tracks)
+    outliers = [oracle.take(sample) for sample in samples]
+    now_us = samples[-1].time_us + 3000
+    oracle.carry(now_us)
+
+    filter_ = Estimator(model(), config, np.full(n, PITCH))
+    filter_.reset(START_US, tracks.at(np.array([START_US]))[0, :n])
+    arriving = samples[:]
+    if shuffled:  # each up to 30 places late
+        late = np.arange(len(samples)) + rng.uniform(0, 30, size=len(samples))
+        arriving = [samples[i] for i in np.argsort(late)]
+    for k in range(0, len(arriving), 7):
+        estimate = filter_.update(arriving[k : k + 7], now_us, tracks)
+    assert (filter_.replayed > len(samples)) == shuffled
+
+    scale = np.sqrt(np.diag(oracle.P))  # what z and its covariance are measured by
+    np.testing.assert_allclose(estimate.z / scale, oracle.x / scale, rtol=1e-9, atol=1e-9)
+    by_scale = np.outer(scale, scale)
+    np.testing.assert_allclose(estimate.covariance / by_scale, oracle.P / by_scale, atol=1e-9)
+    assert np.array_equal(estimate.covariance, estimate.covariance.T)
+    filter_.update([], now_us + 10**6, tracks)
+    assert filter_.outliers == sum(outliers[:-1]) > 0
+    assert filter_.accepted == len(samples) - 1 - filter_.outliers
 
 
 # Consistency: worlds made by the filter's own model (Bar-Shalom, Li, Kirubarajan, Estimation with
