@@ -199,11 +199,10 @@ class Gains:
         n = len(self._law.kp)
         if not self.sinks:
             return self._configured.repeat(len(times_us), axis=0)
-        values = np.empty((len(times_us), 2 * n))
-        for column, sink in ((0, core.TRACK_KP), (n, core.TRACK_KD)):
-            for axis in range(n):
-                point = track(axis, sink).evaluate(times_us, self._shift)[0]
-                mantissa = np.clip(point >> GAIN_BITS, 0, MANTISSA_MAX)
-                values[:, column + axis] = mantissa * self._per_mantissa[sink][axis]
+        tracks = [track(axis, sink) for sink in (core.TRACK_KP, core.TRACK_KD) for axis in range(n)]
+        points, _ = core.evaluate_tracks(tracks, times_us, self._shift)
+        per_mantissa = [self._per_mantissa[sink] for sink in (core.TRACK_KP, core.TRACK_KD)]
+        mantissa = np.clip(points >> GAIN_BITS, 0, MANTISSA_MAX)
+        values: Array = mantissa * np.concatenate(per_mantissa)
         values[:, n:] += self._law.emf
         return values

@@ -98,7 +98,7 @@ class Encoder:
             core.TRACK_TORQUE: np.array([u.tq_per_effort for u in units]),
         }
         self._gain_fit = Fit(knots, POSITION_CURVATURE_WEIGHT)
-        self._gain_points: list[Points] = []
+        self._gain_points: list[Points] = [{} for _ in units]
         library = compile_functions("encoder", [_encode(n, knots, self._h), _relieve(n, knots)])
         self.pool = pool = dict[str, Array]()
         encode = Call(library, "encode", pool)
@@ -107,6 +107,7 @@ class Encoder:
         rollout, relieve = prediction.call("rollout", pool), Call(library, "relieve", pool)
         pool["dt"][...], pool["limit"][:, 0] = self._h, self._law.limit
         pool["quanta"][:, 0] = np.concatenate(list(self._scale.values()))
+        pool["feedback"][...] = self._law.feedback[:, None]
         self.encoding = Encoding(
             encode.bound, rollout.bound, relieve.bound, pool["relief"], pool["more"], pool["over"]
         )
@@ -127,40 +128,41 @@ class Encoder:
     ) -> None:
         """Takes over what the devices have from `knot` - 1 on: the first three points of each
         track. Gains follow `position` (K+1, n), which need not be the motion to the last bit."""
-        near = position[0]
-        for name, sink in (("r0", core.TRACK_POSITION), ("f0", core.TRACK_TORQUE)):
-            points = [remote.track(sink).points(knot - 1, 3) for remote in remotes]
-            self.pool[name][...] = self._in_si(sink, points, near)
-        self._gain_points = self.gain_points(position, remotes, knot)
-        feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
-        self.pool["feedback"][...] = feedback.T
+        n, sinks = self._n, (core.TRACK_POSITION, core.TRACK_TORQUE)
+        tracks = [remote.track(sink) for sink in sinks for remote in remotes]
+        points = core.track_points(tracks, knot - 1, 3)
+        near = _unwrapped(self._units, points[:n], position[0])
+        self.pool["r0"][...] = near / self._scale[core.TRACK_POSITION][:, None]
+        self.pool["f0"][...] = points[n:] / self._scale[core.TRACK_TORQUE][:, None]
+        if self._gains.sinks:
+            self._gain_points = self.gain_points(position, remotes, knot)
+            feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
+            self.pool["feedback"][...] = feedback.T
         self.pool["x"][:, 0], self.pool["d"][...] = start, disturbance[:, None]
 
     def points(self) -> list[Points]:
         """Of the last encoding: control points by axis, the first three of each track the
         committed ones."""
+        # By way of int64: on a continuous axis a position goes on from 2^31 at -2^31.
+        points = self.pool["points"].astype(np.int64).astype(np.int32, order="C")
         return [
             {
-                core.TRACK_POSITION: units.position_points(self.pool["r"][axis]),
-                core.TRACK_TORQUE: units.torque_points(self.pool["f"][axis]),
+                core.TRACK_POSITION: points[axis],
+                core.TRACK_TORQUE: points[self._n + axis],
                 **self._gain_points[axis],
             }
-            for axis, units in enumerate(self._units)
+            for axis in range(self._n)
         ]
 
     def rolled(self) -> Motion:
         """Of the last encoding: the motion that the servos make of it."""
-        states = np.hstack((self.pool["x"], self.pool["states"])).T
-        torque = self.pool["motor"].T.copy()
-        return Motion(states[:, : self._n], states[:, self._n :], torque)
+        states = np.concatenate((self.pool["x"], self.pool["states"]), axis=1).T
+        return Motion(states[:, : self._n], states[:, self._n :], self.pool["motor"].T.copy())
 
     def departure(self) -> Array:
         """Of the last encoding: torque that the tracks give along the motion itself, minus the
         motion's own, at the knots: (K+1, n) [Nm or N]."""
-        states = np.vstack((self.pool["position"], self.pool["velocity"])).T
-        given = self._law.torque(states, self.pool["tracks"].T)
-        departure: Array = given - self.pool["torque"].T
-        return departure
+        return self.pool["departure"].T
 
     def gain_points(self, position: Array, remotes: list[Remote], knot: int) -> list[Points]:
         """Control points of the gain tracks along positions (K+1, n), as `plan` has them."""
@@ -178,15 +180,15 @@ class Encoder:
         track.write(0, self._gain_points[axis][sink])
         return track
 
-    def _in_si(self, sink: int, points: list[NDArray[np.int32]], near: Array) -> Array:
-        """Points of one sink (m,) by axis, in SI: (n, m). `near` (n,): where the axes are at the
-        first of them."""
-        scaled: Sequence[NDArray[Any]] = points
-        if sink == core.TRACK_POSITION:
-            axes = zip(self._units, points, near.tolist(), strict=True)
-            scaled = [units.unwrapped(of_axis, about) for units, of_axis, about in axes]
-        in_si: Array = np.stack(scaled) / self._scale[sink][:, None]
-        return in_si
+
+def _unwrapped(units: list[AxisUnits], points: NDArray[np.int32], near: Array) -> Array:
+    """Position tracks' points or values (n, m) in pq without bounds, see AxisUnits.unwrapped.
+    `near` (n,): where the axes are at the first of them, give or take some turns."""
+    whole = points.astype(np.float64)
+    for axis, of_axis in enumerate(units):
+        if of_axis.continuous:
+            whole[axis] = of_axis.unwrapped(points[axis], near[axis])
+    return whole
 
 
 def _at_knots(points: Any, weights: Sequence[float]) -> Any:
@@ -200,8 +202,9 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
     (2n, 2K+1): [Kp, Kd + c] at the knots and half-way between; relief (n, K+1): taken off the
     torque track; quanta (2n,): of position and torque, per unit; limit (n,): of the torque; all SI.
 
-    To the points r, f (n, K+3), whole quanta, and to the tracks [r, r', f, Kp, Kd + c] at the
-    knots (5n, K+1) and half-way between them (5n, K).
+    To the points of r and f (2n, K+3) in quanta, to the tracks [r, r', f, Kp, Kd + c] at the knots
+    (5n, K+1) and half-way between them (5n, K), and to the torque that the tracks give along the
+    motion itself, minus the motion's own (n, K+1).
     """
     sizes = {
         "position": (n, knots + 1), "velocity": (n, knots + 1), "torque": (n, knots + 1),
@@ -217,18 +220,26 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
         return ca.fmin(ca.fmax(values, -ceiling), ceiling)
 
     def whole(points: Any, per_unit: Any) -> Any:
-        return ca.floor(points * per_unit + 0.5) / per_unit
+        return ca.floor(points * per_unit + 0.5)
 
-    r = whole(Fit(knots, POSITION_CURVATURE_WEIGHT)(position, r0), quanta[:n])
+    r_points = whole(Fit(knots, POSITION_CURVATURE_WEIGHT)(position, r0), quanta[:n])
+    r = r_points / quanta[:n]
     value, rate = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h
-    f = torque - at[:n, :] * (value - position) - at[n:, :] * (rate - velocity)
-    f = Fit(knots, TORQUE_CURVATURE_WEIGHT)(clip(f - relief, ceiling[0]), f0)
-    f = clip(whole(f, quanta[n:]), ceiling[1])
-    tracks = ca.vertcat(value, rate, _at_knots(f, VALUE), at)
+    feedback_torque = at[:n, :] * (value - position) + at[n:, :] * (rate - velocity)
+    f = clip(torque - feedback_torque - relief, ceiling[0])
+    f = whole(Fit(knots, TORQUE_CURVATURE_WEIGHT)(f, f0), quanta[n:]) / quanta[n:]
+    f = clip(f, ceiling[1])
+    effort = _at_knots(f, VALUE)
+    tracks = ca.vertcat(value, rate, effort, at)
     middles = ca.vertcat(
         _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE), between
     )
-    outputs = {"r": r, "f": f, "tracks": tracks, "middles": middles}
+    outputs = {
+        "points": ca.vertcat(r_points, whole(f, quanta[n:])),
+        "tracks": tracks,
+        "middles": middles,
+        "departure": effort + feedback_torque - torque,
+    }
     return named_function("encode", inputs, outputs)
 
 
@@ -272,14 +283,14 @@ class Commitment:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
         n = len(self._remotes)
+        sinks = core.TRACK_POSITION, core.TRACK_TORQUE
+        tracks = [remote.track(sink) for sink in sinks for remote in self._remotes]
+        value, rate = core.evaluate_tracks(tracks, times_us, self._shift)
         values = np.empty((len(times_us), TRACK_ROWS * n))
-        for axis, remote in enumerate(self._remotes):
-            position = remote.track(core.TRACK_POSITION).evaluate(times_us, self._shift)
-            torque = remote.track(core.TRACK_TORQUE).evaluate(times_us, self._shift)
-            unwrapped = self._units[axis].unwrapped(position[0], near[axis])
-            values[:, axis] = unwrapped * self._position[axis]
-            values[:, n + axis] = position[1] * self._speed[axis]
-            values[:, 2 * n + axis] = torque[0] * self._torque[axis]
+        position = _unwrapped(self._units, value[:, :n].T, near).T
+        np.multiply(position, self._position, out=values[:, :n])
+        np.multiply(rate[:, :n], self._speed, out=values[:, n : 2 * n])
+        np.multiply(value[:, n:], self._torque, out=values[:, 2 * n : 3 * n])
         values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
         return values
 

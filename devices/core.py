@@ -12,7 +12,9 @@ from headway.firmware._core import (
     TRACK_TORQUE,
     GateLimits,
     Track,
+    evaluate_tracks,
     gate_check_track,
+    track_points,
 )
 
 __all__ = [
@@ -27,5 +29,7 @@ __all__ = [
     "TRACK_TORQUE",
     "GateLimits",
     "Track",
+    "evaluate_tracks",
     "gate_check_track",
+    "track_points",
 ]

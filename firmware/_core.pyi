@@ -1,5 +1,7 @@
 """The firmware core: codec, gate, tracks, servo and clock, as the board runs them (module.cpp)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -345,6 +347,14 @@ class Track:
         self, times_us: NDArray[np.int64], knot_shift: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
         """Value, rate per knot and curve per knot squared at system times."""
+
+def evaluate_tracks(
+    tracks: Sequence[Track], times_us: NDArray[np.int64], knot_shift: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Value and rate per knot of k tracks at system times (m,): each (m, k)."""
+
+def track_points(tracks: Sequence[Track], first_knot: int, count: int) -> NDArray[np.int32]:
+    """Control points of k tracks: (k, count)."""
 
 def gate_check_track(
     limits: GateLimits, stored: Track, first_knot: int, points: NDArray[np.int32], knot: int

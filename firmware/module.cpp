@@ -520,6 +520,31 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
                           array(std::move(curve), {n}));
 }
 
+using Tracks = std::vector<const track *>;
+
+// Of several tracks, a column each.
+static nb::tuple evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_shift) {
+    size_t m = times_us.shape(0), k = tracks.size();
+    std::vector<int32_t> value(m * k), rate(m * k);
+    for (size_t i = 0; i < m; i++)
+        for (size_t j = 0; j < k; j++) {
+            track_value v = track_evaluate(tracks[j], times_us.data()[i], knot_shift);
+            value[i * k + j] = v.value;
+            rate[i * k + j] = v.rate;
+        }
+    return nb::make_tuple(array(std::move(value), {m, k}), array(std::move(rate), {m, k}));
+}
+
+// Of several tracks, a row each.
+static auto track_points(const Tracks &tracks, int64_t first_knot, int32_t count) {
+    size_t k = tracks.size(), m = (size_t)(count < 0 ? 0 : count);
+    std::vector<int32_t> points(k * m);
+    for (size_t j = 0; j < k; j++)
+        for (size_t i = 0; i < m; i++)
+            points[j * m + i] = track_point(tracks[j], first_knot + (int64_t)i);
+    return array(std::move(points), {k, m});
+}
+
 static const char *const gate_results[] = {"accepted", "late",         "gap",  "far",   "range",
                                            "speed",    "acceleration", "rest", "start", "stale",
                                            "state",    "sink",         "room", "epoch"};
@@ -553,6 +578,8 @@ static void bind_kernels(nb::module_ &m) {
             },
             "first_knot"_a, "count"_a)
         .def("evaluate", &evaluate, "times_us"_a, "knot_shift"_a);
+    m.def("evaluate_tracks", &evaluate_tracks, "tracks"_a, "times_us"_a, "knot_shift"_a);
+    m.def("track_points", &track_points, "tracks"_a, "first_knot"_a, "count"_a);
     m.def(
         "gate_check_track",
         [](const gate_limits &limits, const track &stored, int64_t first_knot, Points points,
