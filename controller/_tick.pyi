@@ -91,6 +91,10 @@ class Tick:
     def prepare(self) -> None: ...
     def feedback(self) -> Feedback: ...
 
+def steps(times_us: list[int], longest_us: int) -> Indices:
+    """Start, middle and end (m, 3) of steps from time to time, as many between two as keep them
+    short."""
+
 class Rows:
     """Samples in the order of their stamps and the filter after each, a row a sample: z (m, 3n),
     covariance (m, 3n, 3n), normalized innovation squared, outliers in a row by axis (m, n)."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Estimator as EstimatorConfig
 from headway.configs.section import by_axis
-from headway.controller._tick import Filter
+from headway.controller._tick import Filter, steps
 from headway.controller.checkpoints import Checkpoints
 from headway.controller.prediction import Prediction
 from headway.controller.sample import Sample
@@ -48,6 +48,7 @@ class Estimate:
     time_us: int
     z: Array
     covariance: Array
+    tracks: Array  # what the devices then execute, see Tracks (5n,)
 
     def state(self, n: int) -> Array:
         """x = [q, v]."""
@@ -84,25 +85,27 @@ class Estimator:
         first = kept.insert(samples)
         self.replayed += kept.end - first
         before = first - 1
-        start_us, *times_us = kept.times_us(before)
-        start = Estimate(start_us, kept.z[before], kept.covariance[before])
-        now = self._carry(start, [*times_us, now_us], tracks, first)
+        times_us = [*kept.times_us(before), now_us]
+        now = self._carry(kept.z[before], kept.covariance[before], times_us, tracks, first)
         for is_outlier, nis in kept.forget(now_us - HISTORY_US):
             self._count(is_outlier, nis)
         return now
 
     def predict(self, estimate: Estimate, times_us: list[int], tracks: Tracks) -> Estimate:
         """The estimate carried along the tracks through `times_us` to the last of them."""
-        return self._carry(estimate, times_us, tracks, self._kept.end)
+        times_us = [estimate.time_us, *times_us]
+        return self._carry(estimate.z, estimate.covariance, times_us, tracks, self._kept.end)
 
-    def _carry(self, start: Estimate, times_us: list[int], tracks: Tracks, first: int) -> Estimate:
-        """From an estimate through times to the last of them, taking in the rows from `first` on,
-        whose times are among them."""
-        z, covariance = start.z.copy(), start.covariance.copy()
-        steps = _steps(start.time_us, times_us)
-        along = tracks.at(steps.ravel(), z[: self._n])
-        self._filter.run(z, covariance, steps, along, self._kept.rows, first, self._kept.end)
-        return Estimate(times_us[-1], z, covariance)
+    def _carry(
+        self, z: Array, covariance: Array, times_us: list[int], tracks: Tracks, first: int
+    ) -> Estimate:
+        """From the first of the times to the last, taking in the rows from `first` on, whose times
+        are among the others."""
+        z, covariance = z.copy(), covariance.copy()
+        times = steps(times_us, STEP_MAX_US)
+        along = tracks.at(times.ravel(), z[: self._n])
+        self._filter.run(z, covariance, times, along, self._kept.rows, first, self._kept.end)
+        return Estimate(times_us[-1], z, covariance, along[-1])
 
     def _count(self, is_outlier: bool, nis: float) -> None:
         """Each sample enters the statistics once: as it was last processed."""
@@ -111,18 +114,3 @@ class Estimator:
         else:
             self.accepted += 1
             self.nis_sum += nis
-
-
-def _steps(start_us: int, times_us: list[int]) -> Times:
-    """Start, middle and end (m, 3) of steps from time to time, as many between two as keep them
-    short."""
-    steps: list[int] = []
-    for time_us in times_us:
-        gap_us, begin_us = time_us - start_us, start_us
-        count = max(1, -(-gap_us // STEP_MAX_US))
-        for i in range(1, count + 1):
-            end_us = start_us + gap_us * i // count
-            steps += begin_us, (begin_us + end_us) // 2, end_us
-            begin_us = end_us
-        start_us = time_us
-    return np.array(steps, dtype=np.int64).reshape(-1, 3)

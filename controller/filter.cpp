@@ -6,6 +6,21 @@
 
 enum { X, D, START, MIDDLE, END, DT, LAW, AFTER, JACOBIAN, ARRAYS }; // of `step`
 
+std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t longest_us) {
+    std::vector<int64_t> steps;
+    for (size_t k = 1; k < times_us.size(); ++k) {
+        const int64_t from_us = times_us[k - 1], way_us = times_us[k] - from_us;
+        const int64_t count = std::max<int64_t>(1, (way_us + longest_us - 1) / longest_us);
+        int64_t begin_us = from_us;
+        for (int64_t i = 1; i <= count; ++i) {
+            const int64_t end_us = from_us + way_us * i / count;
+            steps.insert(steps.end(), {begin_us, begin_us + (end_us - begin_us) / 2, end_us});
+            begin_us = end_us;
+        }
+    }
+    return steps;
+}
+
 Filter::Filter(Bound &step, Noise noise, Outliers outliers)
     : step(step), noise(std::move(noise)), outliers(outliers), n(this->noise.reading.size()),
       carried(6 * n * n), column(3 * n), gain(3 * n) {

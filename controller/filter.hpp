@@ -24,6 +24,9 @@ struct Steps {
     const double *tracks;
 };
 
+// Such steps through all times, as many between two as keep each within `longest_us`: (count, 3).
+std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t longest_us);
+
 // What the filter assumes, by axis; z's variances at a reset (3n).
 struct Noise {
     Array acceleration, walk; // densities: of white acceleration, of the disturbance's random walk

@@ -200,9 +200,10 @@ class Gains:
         if not self.sinks:
             return self._configured.repeat(len(times_us), axis=0)
         tracks = [track(axis, sink) for sink in (core.TRACK_KP, core.TRACK_KD) for axis in range(n)]
-        points, _ = core.evaluate_tracks(tracks, times_us, self._shift)
+        points = np.empty((len(times_us), 2 * n))
+        core.evaluate_tracks(tracks, times_us, self._shift, points)
+        mantissa = np.clip(points.astype(np.int64) >> GAIN_BITS, 0, MANTISSA_MAX)
         per_mantissa = [self._per_mantissa[sink] for sink in (core.TRACK_KP, core.TRACK_KD)]
-        mantissa = np.clip(points >> GAIN_BITS, 0, MANTISSA_MAX)
         values: Array = mantissa * np.concatenate(per_mantissa)
         values[:, n:] += self._law.emf
         return values

@@ -28,7 +28,7 @@ from headway.controller.reference import ENTRY_S, Entry, Reference
 from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
-from headway.controller.tracks import FIXED_KNOTS, Commitment, Encoder
+from headway.controller.tracks import Commitment, Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
 from headway.devices.link import Link
@@ -78,8 +78,9 @@ class Loop:
                 f"{core.PLAN_POINTS_MAX}: choose a longer knot or a shorter horizon"
             )
         self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
-        unit_per_count = np.array([u.unit_per_count for u in self._units])
-        self.estimator = Estimator(self._prediction, config.estimator, unit_per_count)
+        self._unit_per_count = [u.unit_per_count for u in self._units]
+        pitch = np.array(self._unit_per_count)
+        self.estimator = Estimator(self._prediction, config.estimator, pitch)
         gains = Gains(config, machine, points)
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
@@ -94,6 +95,7 @@ class Loop:
         self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
         self._commit_knot: int | None = None  # of the last tick
         self._prepared: int | None = None  # commit knot of the problem that is ready
+        self._wanted = np.empty((0, 0))  # the reference at that problem's nodes, see _wanted_from
         self._disturbance = np.zeros(self._prediction.n)  # as last estimated
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
@@ -106,7 +108,7 @@ class Loop:
         for device, received_us, packet in packets:
             samples = self._remotes[device].receive(packet, received_us)
             good.append(samples is not None)
-            scale = self._units[device].unit_per_count
+            scale = self._unit_per_count[device]
             for time_us, count in samples or ():
                 self.samples.append(Sample(time_us, device, count * scale))
         self._recorder.add(("received", now_us, (packets, good)))
@@ -179,9 +181,7 @@ class Loop:
         points, rolled = plan
         self._last = (commit_knot, rolled)
         tick.accepted, tick.motion = True, rolled
-        departure = self._encoder.departure()[FIXED_KNOTS + 2 :]
-        tick.encoding_error = np.abs(departure).max(axis=0)
-        tick.planned_torque = np.abs(rolled.torque[FIXED_KNOTS:]).max(axis=0)
+        tick.encoding_error, tick.planned_torque = self._encoder.largest()
         return self._join(knot, commit_knot, points)
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
@@ -229,6 +229,7 @@ class Loop:
         if commit_knot - knot >= self._horizon:
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
             self._enter(motion.position[-1], start_s)
+            self._wanted = self._wanted_from(commit_knot)
 
     def _enter(self, position: Array, start_s: float) -> None:
         """From rest at a position onto the task's reference; how often a continuous axis has turned
@@ -247,23 +248,24 @@ class Loop:
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
             return self._encoder.plan(motion, self._remotes, commit_knot, state, self._disturbance)
-        position, velocity, _ = self._reference.at(
-            (commit_us + self._node_us.astype(np.float64)) * 1e-6
-        )
-        tracks = self._commitment.at(np.array([commit_knot * self._knot_us]), state[:n])
-        torque = self._prediction.law.torque(state[None], tracks)[0]
+        torque = self._prediction.law.torque(state, tick.commit.tracks)
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
-        reference = np.hstack((position, velocity))
         tick.solution = solution = self._mpc.solve(
-            tick.commit, reference, torque, self._remotes, commit_knot
+            tick.commit, self._wanted, torque, self._remotes, commit_knot
         )
         return solution.plan
 
     def _prepare(self, commit_knot: int) -> None:
         if self._mpc is not None:
             self._mpc.prepare(self._guess(commit_knot), self._disturbance)
-            self._prepared = commit_knot
+            self._prepared, self._wanted = commit_knot, self._wanted_from(commit_knot)
+
+    def _wanted_from(self, commit_knot: int) -> Array:
+        """The reference at the nodes of the horizon that begins there: states (N+1, 2n)."""
+        commit_us = commit_knot * self._knot_us - self.start_us
+        at_s = (commit_us + self._node_us.astype(np.float64)) * 1e-6
+        return np.hstack(self._reference.at(at_s)[:2])
 
     def _guess(self, commit_knot: int) -> Motion:
         """The last roll-out from the new commit knot on, extended at rest."""
@@ -274,7 +276,7 @@ class Loop:
 
     def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device; and a roll-out that is a motion."""
-        if not all(np.isfinite(part).all() for part in (rolled.position, rolled.velocity)):
+        if not (np.isfinite(rolled.position).all() and np.isfinite(rolled.velocity).all()):
             return False
         first = commit_knot - 1
         for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
@@ -297,10 +299,13 @@ class Loop:
     def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
         """Committed points that have not begun, then the new ones."""
         first = knot + core.LIVE_KNOTS
-        joined: list[Points] = []
-        for remote, plan in zip(self._remotes, points, strict=True):
-            joined.append({})
-            for sink in self._sinks:
-                before = remote.track(sink).points(first, max(0, commit_knot + 2 - first))
-                joined[-1][sink] = np.concatenate((before, plan[sink][3:]))
+        ahead = commit_knot - 1 - first  # points that have not begun before the plan's own first
+        joined = points
+        if ahead < 0:
+            joined = [{s: plan[s][-ahead:] for s in self._sinks} for plan in points]
+        elif ahead > 0:
+            joined = [
+                {s: np.concatenate((r.track(s).points(first, ahead), plan[s])) for s in self._sinks}
+                for r, plan in zip(self._remotes, points, strict=True)
+            ]
         return Outbox(first, joined, commit_knot * self._knot_us)

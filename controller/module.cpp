@@ -52,7 +52,16 @@ static void run(Filter &filter, const State &z, const Square &covariance, const 
                last);
 }
 
+static auto steps(const std::vector<int64_t> &times_us, int64_t longest_us) {
+    auto *made = new std::vector<int64_t>(steps_through(times_us, longest_us));
+    nb::capsule owner(made, [](void *p) noexcept { delete static_cast<decltype(made)>(p); });
+    return nb::ndarray<nb::numpy, int64_t>(made->data(), {made->size() / 3, 3}, owner);
+}
+
 static void bind_filter(nb::module_ &m) {
+    m.def("steps", &steps, "times_us"_a, "longest_us"_a,
+          "Start, middle and end (m, 3) of steps from time to time, as many between two as keep "
+          "them short.");
     nb::class_<Rows>(m, "Rows", "Samples in order and the filter after each, a row a sample.")
         .def(
             "__init__",

@@ -131,8 +131,9 @@ class Encoder:
         n, sinks = self._n, (core.TRACK_POSITION, core.TRACK_TORQUE)
         tracks = [remote.track(sink) for sink in sinks for remote in remotes]
         points = core.track_points(tracks, knot - 1, 3)
-        near = _unwrapped(self._units, points[:n], position[0])
-        self.pool["r0"][...] = near / self._scale[core.TRACK_POSITION][:, None]
+        axes = zip(self._units, points[:n], position[0].tolist(), strict=True)
+        unwrapped = np.array([units.unwrapped(of_axis, near) for units, of_axis, near in axes])
+        self.pool["r0"][...] = unwrapped / self._scale[core.TRACK_POSITION][:, None]
         self.pool["f0"][...] = points[n:] / self._scale[core.TRACK_TORQUE][:, None]
         if self._gains.sinks:
             self._gain_points = self.gain_points(position, remotes, knot)
@@ -164,6 +165,11 @@ class Encoder:
         motion's own, at the knots: (K+1, n) [Nm or N]."""
         return self.pool["departure"].T
 
+    def largest(self) -> tuple[Array, Array]:
+        """Of the last encoding, each (n,) [Nm or N]: the largest departure once the points are
+        free, and the largest torque in the roll-out past the committed points."""
+        return self.pool["departed"][:, 0].copy(), self.pool["reached"][:, 0].copy()
+
     def gain_points(self, position: Array, remotes: list[Remote], knot: int) -> list[Points]:
         """Control points of the gain tracks along positions (K+1, n), as `plan` has them."""
         sinks = self._gains.sinks
@@ -181,20 +187,15 @@ class Encoder:
         return track
 
 
-def _unwrapped(units: list[AxisUnits], points: NDArray[np.int32], near: Array) -> Array:
-    """Position tracks' points or values (n, m) in pq without bounds, see AxisUnits.unwrapped.
-    `near` (n,): where the axes are at the first of them, give or take some turns."""
-    whole = points.astype(np.float64)
-    for axis, of_axis in enumerate(units):
-        if of_axis.continuous:
-            whole[axis] = of_axis.unwrapped(points[axis], near[axis])
-    return whole
-
-
 def _at_knots(points: Any, weights: Sequence[float]) -> Any:
     """Sum of weights * points[k ..] for each k: (n, m) to (n, m - len + 1)."""
     m = points.shape[1] - len(weights) + 1
     return sum(w * points[:, i : i + m] for i, w in enumerate(weights))
+
+
+def _largest(values: Any) -> Any:
+    """Largest size in each row: (n, m) to (n,)."""
+    return ca.vertcat(*(ca.mmax(ca.fabs(row)) for row in ca.vertsplit(values)))
 
 
 def _encode(n: int, knots: int, h: float) -> ca.Function:
@@ -203,8 +204,8 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
     torque track; quanta (2n,): of position and torque, per unit; limit (n,): of the torque; all SI.
 
     To the points of r and f (2n, K+3) in quanta, to the tracks [r, r', f, Kp, Kd + c] at the knots
-    (5n, K+1) and half-way between them (5n, K), and to the torque that the tracks give along the
-    motion itself, minus the motion's own (n, K+1).
+    (5n, K+1) and half-way between them (5n, K), to the torque that the tracks give along the motion
+    itself, minus the motion's own (n, K+1), and to the largest of that once the points are free.
     """
     sizes = {
         "position": (n, knots + 1), "velocity": (n, knots + 1), "torque": (n, knots + 1),
@@ -234,11 +235,13 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
     middles = ca.vertcat(
         _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE), between
     )
+    departure = effort + feedback_torque - torque
     outputs = {
         "points": ca.vertcat(r_points, whole(f, quanta[n:])),
         "tracks": tracks,
         "middles": middles,
-        "departure": effort + feedback_torque - torque,
+        "departure": departure,
+        "departed": _largest(departure[:, FIXED_KNOTS + 2 :]),
     }
     return named_function("encode", inputs, outputs)
 
@@ -247,8 +250,8 @@ def _relieve(n: int, knots: int) -> ca.Function:
     """x (2n,), states (2n, K): a roll-out; tracks (5n, K+1) at the knots; relief (n, K+1) so far;
     limit (n,).
 
-    To the torque of the motors (n, K+1), to more relief, and to the largest excess over the limits
-    past the committed points.
+    To the torque of the motors (n, K+1), to more relief, and past the committed points to the
+    largest excess over the limits and to the largest torque by axis.
     """
     sizes = {
         "x": (2 * n, 1), "states": (2 * n, knots), "tracks": (TRACK_ROWS * n, knots + 1),
@@ -264,7 +267,8 @@ def _relieve(n: int, knots: int) -> ca.Function:
     # A little more than the excess, since the fit smoothes.
     more = relief + RELIEF * ca.horzcat(ca.MX(n, FIXED_KNOTS), excess)
     over = ca.mmax(ca.fabs(free) - ceiling)
-    return named_function("relieve", inputs, {"motor": torque, "more": more, "over": over})
+    outputs = {"motor": torque, "more": more, "over": over, "reached": _largest(free)}
+    return named_function("relieve", inputs, outputs)
 
 
 class Commitment:
@@ -275,22 +279,26 @@ class Commitment:
     ) -> None:
         self._remotes, self._gains, self._shift = remotes, gains, loop.knot_shift
         self._units = units
-        self._position = 1 / np.array([u.pq_per_unit for u in units])
-        self._speed = self._position / (loop.knot_us * 1e-6)
-        self._torque = 1 / np.array([u.tq_per_effort for u in units])
+        self._continuous = [axis for axis, u in enumerate(units) if u.continuous]
+        position = 1 / np.array([u.pq_per_unit for u in units])
+        torque = 1 / np.array([u.tq_per_effort for u in units])
+        self._quanta = np.concatenate((position, position / (loop.knot_us * 1e-6), torque))
 
     def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
         n = len(self._remotes)
-        sinks = core.TRACK_POSITION, core.TRACK_TORQUE
-        tracks = [remote.track(sink) for sink in sinks for remote in self._remotes]
-        value, rate = core.evaluate_tracks(tracks, times_us, self._shift)
+        position, torque = (
+            [remote.track(sink) for remote in self._remotes]
+            for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
+        )
         values = np.empty((len(times_us), TRACK_ROWS * n))
-        position = _unwrapped(self._units, value[:, :n].T, near).T
-        np.multiply(position, self._position, out=values[:, :n])
-        np.multiply(rate[:, :n], self._speed, out=values[:, n : 2 * n])
-        np.multiply(value[:, n:], self._torque, out=values[:, 2 * n : 3 * n])
+        r, rate, f = values[:, :n], values[:, n : 2 * n], values[:, 2 * n : 3 * n]
+        core.evaluate_tracks(position, times_us, self._shift, r, rate)
+        core.evaluate_tracks(torque, times_us, self._shift, f)
+        for axis in self._continuous:
+            r[:, axis] = self._units[axis].unwrapped(r[:, axis].astype(np.int32), near[axis])
+        values[:, : 3 * n] *= self._quanta
         values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
         return values
 

@@ -2,11 +2,13 @@
 // the encoder's checks and by the tests.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstring>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -522,17 +524,22 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
 
 using Tracks = std::vector<const track *>;
 
-// Of several tracks, a column each.
-static nb::tuple evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_shift) {
+using Table = nb::ndarray<double, nb::ndim<2>, nb::device::cpu>;
+
+// Of several tracks, a column each, into tables of others.
+static void evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_shift, Table values,
+                            std::optional<Table> rates) {
     size_t m = times_us.shape(0), k = tracks.size();
-    std::vector<int32_t> value(m * k), rate(m * k);
+    for (const Table *table : {&values, rates ? &*rates : &values})
+        if (table->shape(0) != m || table->shape(1) != k)
+            throw std::invalid_argument("a table has a row a time and a column a track");
     for (size_t i = 0; i < m; i++)
         for (size_t j = 0; j < k; j++) {
             track_value v = track_evaluate(tracks[j], times_us.data()[i], knot_shift);
-            value[i * k + j] = v.value;
-            rate[i * k + j] = v.rate;
+            values(i, j) = v.value;
+            if (rates)
+                (*rates)(i, j) = v.rate;
         }
-    return nb::make_tuple(array(std::move(value), {m, k}), array(std::move(rate), {m, k}));
 }
 
 // Of several tracks, a row each.
@@ -578,7 +585,8 @@ static void bind_kernels(nb::module_ &m) {
             },
             "first_knot"_a, "count"_a)
         .def("evaluate", &evaluate, "times_us"_a, "knot_shift"_a);
-    m.def("evaluate_tracks", &evaluate_tracks, "tracks"_a, "times_us"_a, "knot_shift"_a);
+    m.def("evaluate_tracks", &evaluate_tracks, "tracks"_a, "times_us"_a, "knot_shift"_a,
+          "values"_a.noconvert(), "rates"_a.noconvert() = nb::none());
     m.def("track_points", &track_points, "tracks"_a, "first_knot"_a, "count"_a);
     m.def(
         "gate_check_track",

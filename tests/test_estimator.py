@@ -149,6 +149,22 @@ def test_a_batch_counts_each_sample_once_in_the_statistics() -> None:
     assert filter_.accepted + filter_.outliers == len(samples) - 1
 
 
+def test_however_few_rows_there_are_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The checkpoints' arrays grow and begin anew; nothing else does. Some samples come late."""
+    times = range(START_US + 1000, START_US + 900_000, 1000)
+    samples = [Sample(t, k % 2, float(Waves().start()[k % 2])) for k, t in enumerate(times)]
+    order = np.argsort(np.arange(len(samples)) + np.random.default_rng(3).uniform(0, 9, len(times)))
+    batches = [[samples[i] for i in order[k : k + 5]] for k in range(0, len(order), 5)]
+
+    def estimates(rows: int) -> tuple[list[bytes], int, float]:
+        monkeypatch.setattr("headway.controller.checkpoints.ROWS", rows)
+        filter_ = settled(estimator())
+        told = [as_bytes(filter_.update(b, max(s.time_us for s in b), Still())) for b in batches]
+        return told, filter_.outliers, filter_.nis_sum
+
+    assert estimates(4) == estimates(4096)
+
+
 def test_predicting_in_steps_is_predicting_along_the_tracks() -> None:
     """predict() stops at each time it is given; the disturbance wanders meanwhile."""
     filter_ = settled(estimator())
