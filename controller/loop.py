@@ -185,8 +185,10 @@ class Loop:
         return self._join(knot, commit_knot, points)
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
-        now = self.estimator.update(self.samples, now_us, self._commitment)
-        self.samples.clear()
+        # A clock that is ahead by more than its frame was under way stamps what is yet to come.
+        due = [sample for sample in self.samples if sample.time_us <= now_us]
+        self.samples[:] = [sample for sample in self.samples if sample.time_us > now_us]
+        now = self.estimator.update(due, now_us, self._commitment)
         if not np.isfinite(now.z).all():
             raise DeviceError(
                 "the estimated state has diverged: `headway check` says whether a joint is too "

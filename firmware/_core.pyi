@@ -25,6 +25,8 @@ TRACK_KI: int
 TRACK_KD: int
 TRACK_POINTS: int
 PLAN_POINTS_MAX: int
+PACKET_MAX: int  # bytes on the wire, without an ending zero
+FRAME_VERSION: int
 LIVE_KNOTS: int
 COAST_KNOTS: int
 MARK_OPEN: int
@@ -47,6 +49,9 @@ HOME_METHODS: list[str]
 def siphash24(key: bytes, prefix: int, message: bytes) -> int: ...
 def cobs_encode(packet: bytes, /) -> bytes: ...
 def cobs_decode(packet: bytes, /) -> bytes | None: ...
+def frame_header(packet: bytes) -> tuple[int, int, int, int] | None:
+    """Version, type, session and counter that a packet claims, authentic or not; None if it is too
+    short or no packet. Of HELLO and WELCOME only version and type mean anything."""
 
 class Session:
     """One end of an authenticated session, or of a group."""

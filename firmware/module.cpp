@@ -20,6 +20,7 @@ extern "C" {
 #include "device.h"
 #include "gap.h"
 #include "group.h"
+#include "wire.h"
 }
 
 namespace nb = nanobind;
@@ -99,6 +100,19 @@ static void bind_codec(nb::module_ &m) {
             return nb::none();
         return to_bytes(out, size);
     });
+    m.def(
+        "frame_header",
+        [](nb::bytes packet) -> nb::object {
+            std::vector<uint8_t> out(data(packet), data(packet) + packet.size());
+            int32_t size = cobs_decode(out.data(), (int32_t)out.size());
+            if (size < FRAME_HEADER_BYTES)
+                return nb::none();
+            reader header = {out.data(), FRAME_HEADER_BYTES, 0, false};
+            uint64_t version = read_uint(&header, 1), type = read_uint(&header, 1);
+            uint64_t number = read_uint(&header, 4), counter = read_uint(&header, 6);
+            return nb::make_tuple(version, type, number, counter);
+        },
+        "packet"_a);
     nb::class_<session>(m, "Session")
         .def(
             "__init__",
@@ -820,6 +834,8 @@ NB_MODULE(_core, m) {
     m.attr("TRACK_KD") = (int)TRACK_KD;
     m.attr("TRACK_POINTS") = TRACK_POINTS;
     m.attr("PLAN_POINTS_MAX") = PLAN_POINTS_MAX;
+    m.attr("PACKET_MAX") = COBS_BOUND(FRAME_MAX);
+    m.attr("FRAME_VERSION") = FRAME_VERSION;
     m.attr("LIVE_KNOTS") = GATE_LIVE_KNOTS;
     m.attr("COAST_KNOTS") = DEVICE_COAST_KNOTS;
     m.attr("MARK_OPEN") = MARK_OPEN;

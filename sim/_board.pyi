@@ -99,6 +99,10 @@ class Node:
         """Number of the session that the device is in."""
 
     @property
+    def received(self) -> int:
+        """The highest counter of a frame that it took in that session."""
+
+    @property
     def settings(self) -> DeviceSettings: ...
     @property
     def synced(self) -> bool: ...

@@ -52,6 +52,11 @@ class SimLink:
                     if device not in self._cut:
                         self._mailbox.put(arrival_us, device, packet)
 
+    @property
+    def due_us(self) -> int:
+        """When the next packet arrives at the host, in the host's time."""
+        return self._mailbox.due_us + self.epoch_us
+
     def receive(self, now_us: int) -> list[tuple[int, int, bytes]]:
         """(device, received_us, packet) of all that has arrived, in the host's time."""
         arrived = self._mailbox.take(now_us - self.epoch_us)

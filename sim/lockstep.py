@@ -17,6 +17,7 @@ import numpy as np
 
 from headway.configs.schema import Config
 from headway.controller.loop import Loop
+from headway.controller.record.columns import Arrays
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.sample import Sample
@@ -24,9 +25,9 @@ from headway.controller.tick import DeviceError, Phase
 from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.sim.mishaps import Mishaps
+from headway.sim.truth import TRUTH_US, note_truth
 from headway.sim.world import World
 
-TRUTH_US = 1000
 REST_S = 1.0  # simulated after the last plan's end, to see the machine come to rest
 
 
@@ -170,15 +171,9 @@ class Lockstep:
 
     def _note_truth(self, true_us: int) -> None:
         """True motion; and the state at that time as the reference has it."""
-        plant, system_us = self.plant, true_us + self.epoch_us
+        system_us = true_us + self.epoch_us
         reference = self.reference.at(np.array([self.task_s(system_us)]))[0][0]
-        truth = plant.position, plant.velocity, plant.torque, reference
-        self.record.add(("truth", system_us, truth))
-        setpoints = zip(*(node.setpoint(system_us) for node in plant.nodes), strict=True)
-        torques = [node.torque_tq for node in plant.nodes]
-        unclipped = [node.unclipped_tq for node in plant.nodes]
-        errors = [node.system_us(true_us) - system_us for node in plant.nodes]
-        self.record.add(("servo", system_us, (*setpoints, torques, unclipped, errors)))
+        note_truth(self.record, self.plant, system_us, reference)
         self._publish()
 
     def _note_end(self) -> None:
@@ -200,6 +195,16 @@ class Lockstep:
         """Time stands still until the record has taken it all."""
         self.record.publish()
         self.record.await_room()
+
+    def frames(self, _: Arrays) -> dict[str, int | None]:
+        """Frames from the host to the devices while the task ran, and what the devices refused."""
+        statuses = [node.status for node in self.plant.nodes]
+        return {
+            "sent": sum(wire.sent for wire in self.link.to_device),
+            "lost": sum(wire.lost for wire in self.link.to_device),
+            "late_points": sum(status.plans_late for status in statuses),
+            "gate_refused": sum(status.plans_refused for status in statuses),
+        }
 
     def device_states(self) -> list[str]:
         """State of every device, by name, as the simulator sees it."""

@@ -219,6 +219,7 @@ NB_MODULE(_board, m) {
                              return nb::none();
                          return nb::int_(n->device.session.number);
                      })
+        .def_prop_ro("received", [](Node &n) { return n->device.session.received; })
         .def_prop_ro("settings", [](Node &n) { return n->device.settings; })
         .def_prop_ro("synced", [](Node &n) { return n->device.sync.settled; })
         .def_prop_ro("lineage", [](Node &n) { return n->device.sync.lineage; })

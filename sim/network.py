@@ -105,6 +105,11 @@ class Mailbox:
         heapq.heappush(self._heap, (arrival_us, self._count, device, packet))
         self._count += 1
 
+    @property
+    def due_us(self) -> int:
+        """When the next packet arrives; far in the future if there is none."""
+        return self._heap[0][0] if self._heap else 2**62
+
     def take(self, now_us: int) -> list[tuple[int, int, bytes]]:
         """(device, arrival_us, packet) of all that arrived up to `now_us`."""
         taken = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from headway.controller.reference import task_reference
 from headway.devices.axis import TURN
 from headway.devices.bus import Bus as Marks
 from headway.devices.core import COAST_KNOTS
+from headway.devices.keys import Keys
 from headway.devices.remote import Remote
 from headway.devices.session import Session
 from headway.devices.settings import device_settings
@@ -21,9 +23,15 @@ from headway.sim.plant import Plant, start_of
 class World:
     """All that a config's seed decides. Raises ValueError for mistakes."""
 
-    def __init__(self, config: Config, folder: Path) -> None:
-        """`folder` is where the config's relative paths start."""
-        self.config = config
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        keys: Keys | None = None,
+    ) -> None:
+        """`folder` is where the config's relative paths start. `keys` are drawn by the seed if they
+        are not given."""
+        self.config, self._keys = config, keys
         self.model = (folder / config.machine.model).resolve()
         n = len(config.machine.axes)
         seeds = np.random.SeedSequence(config.seed).spawn(4 + 2 * n)
@@ -53,6 +61,9 @@ class World:
             config.machine.axes[device], config.device, config.loop, config.sync
         )
         settings.key = world.bytes(16)
+        if self._keys is not None:
+            settings.key = self._keys.devices[config.machine.axes[device].joint]
+            settings.peer_key = self._keys.sync
         if config.machine.axes[device].homing is not None:
             self._forget(device, world)
         clocks, node = config.sim.clocks, self.plant.nodes[device]
@@ -66,6 +77,8 @@ class World:
             oscillator_seed=int(wander.integers(2**63)),
         )
         node.random = int(nonces.integers(2**63))
+        if self._keys is not None:  # a key that others have too: no nonce of a seed may come again
+            node.random = secrets.randbits(64)
         if self.link.bus is not None:
             bus = self.link.bus
             node.join_bus(bus.phase_ps, bus.period_ps, int(wander.integers(2**63)))

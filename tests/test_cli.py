@@ -68,7 +68,7 @@ SHAPE: dict[str, Any] = {
     "rate_hz": float,
     "margin_us": int,
     "axes": [str, str],
-    "tracking": {"rms": AXES, "max": AXES, "unit": [str] * 2},
+    "tracking": {"rms": AXES, "max": AXES, "unit": [str] * 2, "by": str},
     "estimate": {"rms_now": STATES, "rms_commit": STATES, "nis_mean": float},
     "torque": {
         "max_abs": AXES,

@@ -56,6 +56,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 class Made:
     """A run's folder while the run writes into it."""
 
+    path: Path
     keep: bool = False  # whatever happens
 
 
@@ -66,9 +67,8 @@ def run_folder(folder: Path) -> Iterator[Made]:
     If anything is raised meanwhile, all of it is removed again that was not there before, unless
     `keep` has been set. Raises Failure where it cannot be made or written.
     """
-    folder = folder.resolve()
+    made, folder = Made(folder), folder.resolve()
     new = [path for path in (folder, *folder.parents) if not path.exists()]
-    made = Made()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):

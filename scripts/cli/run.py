@@ -1,13 +1,11 @@
-"""`headway run`: one task in closed loop against the simulated plant."""
+"""`headway run`: one task in closed loop, against the simulated plant or over real links."""
 
 from __future__ import annotations
 
 import json
 import shlex
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,14 +14,19 @@ from rich.console import Console
 
 from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
-from headway.cli.folder import RUNS, check_free, run_folder, stamp
+from headway.cli.folder import RUNS, Made, check_free, run_folder, stamp
+from headway.cli.linked import Factor, Kind
+from headway.cli.live import PLANT_NAME, Linked, live
 from headway.cli.progress import Bar
+from headway.cli.stopping import signals_stop
 from headway.cli.table import summary_table
 from headway.cli.versions import versions
 from headway.cli.view import View, check_display
 
 if TYPE_CHECKING:
+    from headway.cli.summary import Driver
     from headway.configs.schema import Config
+    from headway.controller.live import Live
     from headway.controller.record.recording import Recording
     from headway.sim.lockstep import Lockstep
 
@@ -38,8 +41,16 @@ def run(
     overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     view: Annotated[bool, Parameter(negative=())] = False,
+    link: Kind | None = None,
+    spawn: Annotated[bool, Parameter(negative=())] = False,
+    realtime_factor: Factor = 1.0,
+    keys: Path | None = None,
+    ports: Path | None = None,
 ) -> int:
     """Runs a config's task in closed loop, in simulation, and measures how well it went.
+
+    With --link it runs on the wall clock instead, against devices at serial ports or UDP addresses:
+    boards, or a plant in another process (`headway plant`).
 
     Leaves a folder with config.yaml (the config as used, which can be run again), run.mcap (every
     packet and every tick, and the plant's truth at 1 kHz) and summary.json. Ctrl-C brings the
@@ -49,6 +60,10 @@ def run(
     Example: ten times the usual loss of packets, another seed, and the summary for a script.
 
         headway run configs/arm2.yaml --duration 2 --seed 7 --set sim.to_device.loss=0.1 --json
+
+    Example: in real time, against a plant that it starts itself, behind ptys.
+
+        headway run configs/arm2.yaml --link serial --spawn --set sync.limit_us=1000
 
     Parameters
     ----------
@@ -68,8 +83,30 @@ def run(
     view
         Shows the machine in MuJoCo's own viewer while it runs, at most at real time. Needs a
         display. The run is the same.
+    link
+        How the devices are reached: serial ports or udp. Default: not at all, it is simulated.
+    spawn
+        Starts a plant with keys of its own for this run, and ends it afterwards.
+    realtime_factor
+        How fast time passes over a link: at 0.05 all clocks take twenty times as long. A plant
+        needs the same.
+    keys
+        The folder of the machine's keys. Default: ~/.config/headway/keys/NAME.
+    ports
+        The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR.
     """
+    linked = Linked(link, realtime_factor, spawn, keys, ports) if link else None
+    if linked is None and (spawn or keys or ports or realtime_factor != 1):
+        raise Failure(
+            ExitCode.USAGE,
+            "--spawn, --realtime-factor, --keys and --ports are for real links: add --link serial "
+            "or --link udp",
+        )
+    if linked is not None:
+        linked.check()
     if view:
+        if linked is not None:
+            raise Failure(ExitCode.USAGE, "--view shows a simulated run: leave --link out")
         check_display()
     from headway.configs.save import save_config
 
@@ -84,17 +121,12 @@ def run(
     with run_folder(folder) as made:
         save_config(checked, config.parent, folder / "config.yaml")
         with _recording(folder, checked) as recording:
-            lockstep = _set_up(config, checked, recording)
-            try:
-                _simulate(lockstep, view)
-            except Exception as error:
-                mistake = isinstance(error, Failure) and error.code is ExitCode.USAGE
-                made.keep = lockstep.ticks > 0 and not mistake
-                if made.keep:
-                    print(f"the record up to then is in {folder}", file=sys.stderr)
-                raise
+            if linked is not None:
+                driver: Driver = _run_live(linked, config, checked, changes, recording, made)
+            else:
+                driver = _run_simulated(config, checked, recording, view, made)
         made.keep = True
-        summary = _summary(lockstep, recording)
+        summary = _summary(driver, recording, folder / PLANT_NAME)
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
     if to_json:
@@ -103,7 +135,7 @@ def run(
         Console().print(summary_table(summary))
         print(f"written to {folder}")
         print(f"to look at it: headway report {shlex.quote(str(folder))}")
-    return _verdict(summary, lockstep.stopping, recording.failure)
+    return _verdict(summary, driver.stopping, recording.failure)
 
 
 def _recording(folder: Path, config: Config) -> Recording:
@@ -126,18 +158,35 @@ def _set_up(path: Path, config: Config, recording: Recording) -> Lockstep:
         raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
 
 
-def _simulate(lockstep: Lockstep, view: bool) -> None:
+def _run_simulated(
+    path: Path, config: Config, recording: Recording, view: bool, made: Made
+) -> Lockstep:
+    """In virtual time."""
+    lockstep = _set_up(path, config, recording)
+    with View(lockstep.plant) if view else nullcontext() as window:
+        _drive(lockstep, made, window)
+    return lockstep
+
+
+def _run_live(
+    linked: Linked, path: Path, config: Config, changes: list[str], recording: Recording, made: Made
+) -> Live:
+    """On the wall clock."""
+    with live(linked, path, config, changes, made.path, recording) as driver:
+        _drive(driver, made, None)
+    return driver
+
+
+def _drive(driver: Driver, made: Made, window: View | None) -> None:
     """Runs to the end, or until Ctrl-C. Raises Failure if a device fails."""
     from headway.controller.tick import DeviceError
     from headway.sim.plant import UnstableError
 
-    config = lockstep.config
     try:
         with (
-            Bar(config.name, config.duration_s) as bar,
-            _ctrl_c_stops(lockstep),
+            Bar(driver.config.name, driver.config.duration_s) as bar,
+            signals_stop(driver),
             redirect_stdout(sys.stderr),  # standard output is for the summary alone
-            View(lockstep.plant) if view else nullcontext() as window,
         ):
 
             def progress(done_s: float) -> None:
@@ -145,25 +194,35 @@ def _simulate(lockstep: Lockstep, view: bool) -> None:
                 if window:
                     window.show(done_s)
 
-            lockstep.run(progress)
-    except DeviceError as error:
-        raise Failure(ExitCode.DEVICE, str(error)) from error
+            driver.run(progress)
     except UnstableError as error:
         raise Failure(ExitCode.USAGE, str(error)) from error
-    if lockstep.ticks == 0:
+    except Exception as error:
+        made.keep = driver.ticks > 0
+        if made.keep:
+            print(f"the record up to then is in {made.path}", file=sys.stderr)
+        if isinstance(error, DeviceError):
+            raise Failure(ExitCode.DEVICE, str(error)) from error
+        raise
+    if driver.ticks == 0:
         raise KeyboardInterrupt  # before the task began: there is nothing to tell
 
 
-def _summary(lockstep: Lockstep, recording: Recording) -> dict[str, Any]:
-    """The summary, from what has been recorded. Raises Failure if that is nothing."""
+def _summary(driver: Driver, recording: Recording, plant: Path) -> dict[str, Any]:
+    """The summary, from what has been recorded, here and by a spawned plant. Raises Failure if that
+    is nothing."""
     from headway.cli.summary import summarize
-    from headway.controller.record.reader import RecordError
+    from headway.cli.truth import with_truth
+    from headway.controller.record.reader import RecordError, read_run
 
     try:
         run = recording.run()
+        arrays = run.arrays
+        if plant.exists():
+            arrays = with_truth(arrays, read_run(plant).arrays, driver.config)
     except RecordError as error:
         raise Failure(ExitCode.RECORD, f"{error} ({recording.failure})") from error
-    if not run.messages["tick"] or not run.messages["truth"]:
+    if not run.messages["tick"]:
         reason = f"{run.path}: nothing of the task was recorded: {recording.failure}"
         raise Failure(ExitCode.RECORD, reason)
     kept = {
@@ -171,22 +230,7 @@ def _summary(lockstep: Lockstep, recording: Recording) -> dict[str, Any]:
         "batches_dropped": run.batches_dropped,
         "messages": run.messages,
     }
-    return {**summarize(lockstep.config, lockstep, run.arrays), "record": kept}
-
-
-@contextmanager
-def _ctrl_c_stops(lockstep: Lockstep) -> Iterator[None]:
-    """The first Ctrl-C asks the machine to come to rest; the next one is a KeyboardInterrupt."""
-
-    def stop(*_: object) -> None:
-        lockstep.stopping = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return {**summarize(driver.config, driver, arrays), "record": kept}
 
 
 def _verdict(summary: dict[str, Any], interrupted: bool, record_failure: str) -> ExitCode:

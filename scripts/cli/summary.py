@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from headway.cli.truth import has_truth, told_positions
 from headway.cli.versions import versions
 from headway.configs.schema import Config
-from headway.controller.reference import ENTRY_S
+from headway.controller.loop import Loop
+from headway.controller.record.recorder import Recorder
+from headway.controller.reference import ENTRY_S, Sines
 from headway.devices.axis import AxisUnits, whole_turns
-from headway.sim.lockstep import Lockstep
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Array]
@@ -24,10 +26,31 @@ REST_SPEED = {"rad": 5e-3, "m": 1e-3}
 REST_MOVE = {"rad": 1e-3, "m": 2e-4}  # within the window [rad, m]
 
 
-def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
+class Driver(Protocol):
+    """What has run the loop: in virtual time, or on the wall clock."""
+
+    config: Config
+    loop: Loop
+    record: Recorder
+    ticks: int  # of the task
+    deadline_misses: int  # ticks skipped, or too late for their plan
+    stopping: bool
+
+    def run(self, progress: Callable[[float], None] | None = None) -> None:
+        """See Lockstep.run and Live.run."""
+
+    def frames(self, arrays: Arrays) -> dict[str, int | None]:
+        """Sent while the task ran, lost (None: nobody knows), late_points and gate_refused."""
+
+    def device_states(self) -> list[str]:
+        """By name, at the end."""
+
+
+def summarize(config: Config, driver: Driver, arrays: Arrays) -> dict[str, Any]:
     """The summary of a run with at least one tick, ready for JSON.
 
-    What cannot be known (of a solver that is off, of a run too short) is None. Lists by axis are
+    What cannot be known (of a solver that is off, of a run too short, of a machine that nobody
+    sees from outside) is None. Lists by axis are
     in the config's order; lists by state are [q..., v...] in rad and rad/s, on linear axes in m and
     m/s. "torque" is force there, in N.
     """
@@ -39,19 +62,19 @@ def summarize(config: Config, lockstep: Lockstep, arrays: Arrays) -> dict[str, A
         "margin_us": config.loop.margin_us,
         "axes": [axis.joint for axis in config.machine.axes],
         "tracking": _tracking(config, arrays),
-        "estimate": _estimate(lockstep, arrays),
+        "estimate": _estimate(driver, arrays),
         "torque": _torque(config, arrays),
         "compute_us": _percentiles(arrays["timing_compute_us"], p50=50, p99=99, p999=99.9, max=100),
         "compute_split_us": {
             step: _percentiles(arrays[f"timing_{step}_us"], p50=50, p99=99)
             for step in ("estimate", "prepare", "solve", "encode")
         },
-        "solver": _solver(lockstep, arrays),
-        "frames": _frames(lockstep),
-        "deadline_misses": lockstep.deadline_misses,
-        "at_rest_after_end": _at_rest(lockstep, arrays),
+        "solver": _solver(driver, arrays),
+        "frames": driver.frames(arrays),
+        "deadline_misses": driver.deadline_misses,
+        "at_rest_after_end": _at_rest(driver, arrays),
         "limits_violated": _violations(config, arrays),
-        "log_sha256": lockstep.record.sha256(),
+        "log_sha256": driver.record.sha256(),
         "versions": versions(),
     }
 
@@ -94,24 +117,38 @@ def judged(time_s: Array, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.bool
 
 def _tracking(config: Config, arrays: Arrays) -> dict[str, Any]:
     """The plant's true position against the task's reference, without whole turns between them
-    where an axis is continuous."""
+    where an axis is continuous; where nobody knows the truth, what the encoders told."""
+    units = [f"m{axis.unit}" for axis in config.machine.axes]
+    if not has_truth(arrays):
+        return _followed(config, arrays) | {"unit": units, "by": "encoders"}
     in_task = judged(arrays["truth_s"], arrays)
     way = (arrays["truth_position"] - arrays["truth_reference"])[in_task]
     error = 1e3 * (way - whole_turns(config.machine.axes, way))
-    units = [f"m{axis.unit}" for axis in config.machine.axes]
-    return {"rms": _rms(error), "max": _max(error), "unit": units}
+    return {"rms": _rms(error), "max": _max(error), "unit": units, "by": "truth"}
 
 
-def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
+def _followed(config: Config, arrays: Arrays) -> dict[str, Any]:
+    errors = []
+    for i, (time_s, position) in enumerate(told_positions(config, arrays)):
+        way = (position - Sines(config.task).at(time_s)[0][:, i])[judged(time_s, arrays)]
+        axis = config.machine.axes[i : i + 1]
+        errors.append(1e3 * (way[:, None] - whole_turns(axis, way[:, None])))
+    return {"rms": [_rms(e)[0] for e in errors], "max": [_max(e)[0] for e in errors]}
+
+
+def _estimate(driver: Driver, arrays: Arrays) -> dict[str, Any]:
     """Estimated states against the truth, at now and at the commit knot.
 
     Between its milliseconds the truth is a cubic Hermite spline, on the arm right to 0.5 urad and
     3 mrad/s (rms: the servos' steps).
     """
+    if not has_truth(arrays):
+        unknown = [None] * (2 * len(driver.config.machine.axes))
+        return {"rms_now": unknown, "rms_commit": unknown, "nis_mean": _nis(driver)}
     truth = CubicHermiteSpline(
         arrays["truth_s"], arrays["truth_position"], arrays["truth_velocity"]
     )
-    axes = lockstep.config.machine.axes
+    axes = driver.config.machine.axes
     rate, n = truth.derivative(), len(axes)
     rms: dict[str, Any] = {}
     for which in ("now", "commit"):
@@ -120,9 +157,12 @@ def _estimate(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
         error = arrays[f"{which}_estimate"][:, : 2 * n] - true_state
         error[:, :n] -= whole_turns(axes, error[:, :n])
         rms[f"rms_{which}"] = _rms(error[judged(arrays["now_s"], arrays)])
-    estimator = lockstep.loop.estimator
-    nis = estimator.nis_sum / estimator.accepted if estimator.accepted else None
-    return {**rms, "nis_mean": nis}
+    return {**rms, "nis_mean": _nis(driver)}
+
+
+def _nis(driver: Driver) -> float | None:
+    estimator = driver.loop.estimator
+    return estimator.nis_sum / estimator.accepted if estimator.accepted else None
 
 
 def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
@@ -132,6 +172,16 @@ def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
     by sqrt(6), which for white noise is its standard deviation (1 + 4 + 1 = 6) while a motion of a
     few Hz leaves next to nothing. clipped_share is how often the limit cut the demand.
     """
+    limits = {
+        "limit": [axis.effort_limit for axis in config.machine.axes],
+        "unit": [axis.effort_unit for axis in config.machine.axes],
+    }
+    if not has_truth(arrays):
+        unknown = [None] * len(config.machine.axes)
+        return (
+            dict.fromkeys(("max_abs", "max_unclipped", "clipped_share", "noise_rms"), unknown)
+            | limits
+        )
     tq_per_effort = _tq_per_effort(config)
     applied = arrays["servo_torque_tq"] / tq_per_effort
     unclipped = arrays["servo_unclipped_tq"] / tq_per_effort
@@ -140,9 +190,8 @@ def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
         "max_abs": _max(applied),
         "max_unclipped": _max(unclipped),
         "clipped_share": _numbers(np.mean(applied != unclipped, axis=0)),
-        "limit": [axis.effort_limit for axis in config.machine.axes],
         "noise_rms": _rms(np.diff(in_task, n=2, axis=0) / np.sqrt(6)),
-        "unit": [axis.effort_unit for axis in config.machine.axes],
+        **limits,
     }
 
 
@@ -150,44 +199,46 @@ def _tq_per_effort(config: Config) -> Array:
     return np.array([AxisUnits.of(axis, config.loop).tq_per_effort for axis in config.machine.axes])
 
 
-def _solver(lockstep: Lockstep, arrays: Arrays) -> dict[str, Any]:
+def _solver(driver: Driver, arrays: Arrays) -> dict[str, Any]:
     """Plans by what became of them; without MPC the reference's plans are counted."""
     accepted = int(np.sum(arrays["tick_accepted"]))
     return {
-        "ticks": lockstep.ticks,
+        "ticks": driver.ticks,
         "accepted": accepted,
-        "rejected": lockstep.ticks - accepted,
+        "rejected": driver.ticks - accepted,
         "iterations_p50": _percentiles(arrays["solver_iterations"], p50=50)["p50"],
     }
 
 
-def _frames(lockstep: Lockstep) -> dict[str, int]:
-    """Frames from the host to the devices while the task ran, and what the devices refused."""
-    statuses = [node.status for node in lockstep.plant.nodes]
-    return {
-        "sent": sum(wire.sent for wire in lockstep.link.to_device),
-        "lost": sum(wire.lost for wire in lockstep.link.to_device),
-        "late_points": sum(status.plans_late for status in statuses),
-        "gate_refused": sum(status.plans_refused for status in statuses),
-    }
-
-
-def _at_rest(lockstep: Lockstep, arrays: Arrays) -> bool:
-    """Whether every device holds and the plant stands still at the record's end."""
+def _at_rest(driver: Driver, arrays: Arrays) -> bool:
+    """Whether every device holds and the plant, if anybody sees it, stands still at the end."""
+    holding = all(state == "HOLD" for state in driver.device_states())
+    if not has_truth(arrays):
+        return holding
     time_s = arrays["truth_s"]
     window = time_s >= time_s[-1] - REST_WINDOW_S
     mean_velocity = np.mean(arrays["truth_velocity"][window], axis=0)
     moved = np.ptp(arrays["truth_position"][window], axis=0)
-    axes = lockstep.config.machine.axes
+    axes = driver.config.machine.axes
     still = np.abs(mean_velocity) < [REST_SPEED[axis.unit] for axis in axes]
     there = moved < [REST_MOVE[axis.unit] for axis in axes]
-    holding = all(state == "HOLD" for state in lockstep.device_states())
     return bool(holding and np.all(still) and np.all(there))
 
 
 def _violations(config: Config, arrays: Arrays) -> list[str]:
-    """The limits that the plant or a device went beyond at any time, by axis, in words."""
+    """The limits that the plant or a device went beyond at any time, by axis, in words; where
+    nobody knows the truth, by what the encoders told."""
     violations = []
+    told = [] if has_truth(arrays) else told_positions(config, arrays)
+    for axis, (_, position) in zip(config.machine.axes, told, strict=False):
+        outside = position[(position < axis.lowest) | (position > axis.highest)]
+        if len(outside):
+            worst = max(outside.tolist(), key=abs)
+            violations.append(
+                f"{axis.joint}: position {worst:.6g} {axis.unit} outside of its range"
+            )
+    if told:
+        return violations
     for i, (axis, tq_per_effort) in enumerate(
         zip(config.machine.axes, _tq_per_effort(config), strict=True)
     ):

@@ -1,0 +1,71 @@
+"""Which device is at which port: found out by asking, since a device is known by its key alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from headway.devices.port import Port, PortError
+from headway.firmware import _core
+
+
+class Search:
+    """Says HELLO at every port and holds each answer against all keys.
+
+    A device answers at most every 20 ms and proves its key with it; nothing begins by that, and one
+    that runs goes on.
+    """
+
+    def __init__(
+        self, ports: Sequence[Port], keys: Mapping[str, bytes], rng: np.random.Generator
+    ) -> None:
+        """`keys`: by name, of the devices that are looked for. `rng`: see Session."""
+        self._ports, self._keys = list(ports), dict(keys)
+        self._hello = _core.hello(nonce := rng.bytes(16))
+        self._nonce = nonce
+        self.found: dict[str, Port] = {}
+        self.verdicts: dict[str, str] = {}  # by a port's name: what came of it so far
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of the devices that have not answered."""
+        return [name for name in self._keys if name not in self.found]
+
+    def ask(self) -> None:
+        """Says HELLO at all ports where nobody has been found."""
+        for port in self._open():
+            try:
+                port.write(self._hello)
+            except PortError as error:
+                self.verdicts[port.name] = str(error)
+
+    def listen(self) -> None:
+        """Takes the answers that have arrived."""
+        for port in self._open():
+            try:
+                packets = port.read()
+            except PortError as error:
+                self.verdicts[port.name] = str(error)
+                continue
+            for packet in packets:
+                self._judge(port, packet)
+
+    def _open(self) -> list[Port]:
+        taken = list(self.found.values())
+        return [port for port in self._ports if port not in taken]
+
+    def _judge(self, port: Port, packet: bytes) -> None:
+        for name, key in self._keys.items():
+            verdict, *_ = _core.welcome_open(key, self._nonce, packet)
+            if verdict == "ok":
+                self.found.setdefault(name, port)
+                self.verdicts[port.name] = f"is {name}"
+                return
+            if verdict != "another frame":
+                self.verdicts[port.name] = verdict
+
+    def close_others(self) -> None:
+        """Closes the ports at which nobody was found."""
+        for port in self._open():
+            port.close()

@@ -1,0 +1,68 @@
+"""Where the ports of a plant in another process are found: in a folder, under stable names.
+
+MACHINE-DEVICE is a link to a pty, MACHINE-DEVICE.udp a file with an address. The number of a pty
+and of a free UDP port change from start to start; these names do not.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from headway.devices.port import Port, PortError, SerialPort, UdpPort
+
+UDP_SUFFIX = ".udp"
+
+
+def default_folder() -> Path:
+    """Of this user, and gone with the computer's next start."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime:
+        return Path(runtime) / "headway"
+    return Path(tempfile.gettempdir()) / f"headway-{os.geteuid()}"
+
+
+def own_folder(folder: Path) -> None:
+    """Makes a folder that nobody else may write into. Raises PortError."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+    except OSError as error:
+        raise PortError(f"{folder}: cannot be made: {error.strerror}") from error
+    if status.st_uid != os.geteuid() or status.st_mode & 0o022:
+        raise PortError(f"{folder}: others may write there: remove it, or name another --ports")
+
+
+def serial_place(folder: Path, machine: str, device: str) -> Path:
+    """Of a device's pty."""
+    return folder / f"{machine}-{device}"
+
+
+def udp_place(folder: Path, machine: str, device: str) -> Path:
+    """Of a device's address."""
+    return folder / f"{machine}-{device}{UDP_SUFFIX}"
+
+
+def address_of(text: str) -> tuple[str, int]:
+    """HOST:PORT as host and number. Raises PortError."""
+    host, _, port = text.strip().rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise PortError(f"{text.strip()!r} is no address: write HOST:PORT, as 127.0.0.1:47001")
+    return host, int(port)
+
+
+def open_places(folder: Path, udp: bool) -> tuple[list[Port], list[str]]:
+    """Opens all that is there, of one kind; and why what could not be opened was not."""
+    ports, failed = list[Port](), list[str]()
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        if (path.suffix == UDP_SUFFIX) != udp or path.name.startswith("."):
+            continue
+        try:
+            if udp:
+                ports.append(UdpPort(address_of(path.read_text())))
+            else:
+                ports.append(SerialPort(str(path)))
+        except (OSError, PortError) as error:
+            failed.append(str(error))
+    return ports, failed
