@@ -17,10 +17,11 @@ from headway.controller.record.columns import Arrays
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Recorder
 from headway.controller.tick import DeviceError, Outbox, Phase
-from headway.devices.core import STATES
+from headway.devices.core import COAST_KNOTS, STATES
 from headway.devices.link import Link
 from headway.devices.remote import Remote
 
+LISTEN_TICKS = 3  # after a pause in which devices may have begun to coast
 REST_US = 500_000  # beyond the last plan's end, for all to tell that they rest
 AFTER_US = 300_000  # of listening once they have: friction lets an axis creep
 RESTS = {STATES.index(name) for name in ("UNSYNCED", "IDLE", "HOLD", "FAULT", "ESTOP")}
@@ -51,6 +52,7 @@ class Live:
         self.config, self.loop, self.record = config, loop, record
         self._remotes, self._link, self._clock = remotes, link, clock
         self._knot_us = config.loop.knot_us
+        self._listen = 0  # ticks to come that only listen
         self.ticks = 0  # of the task
         self.deadline_misses = 0  # skipped, or too late for their plan
         self.stopping = False  # set it to end the run early: the last plan brings all to rest
@@ -88,16 +90,25 @@ class Live:
         next_us = now_us - now_us % knot_us + knot_us
         while True:
             self._clock.wait_until(next_us)
-            too_late_us = self._clock.now_us() - next_us - knot_us // 2
-            if too_late_us > 0:
-                skipped = -(-too_late_us // knot_us)
+            late_us = self._clock.now_us() - next_us
+            if late_us > knot_us // 2:  # on to a knot that is yet to come, with all heard till then
+                skipped = late_us // knot_us + 1
                 self.deadline_misses += skipped * (self.loop.phase is Phase.RUN)
+                if skipped > COAST_KNOTS:
+                    self._listen = LISTEN_TICKS
                 next_us += skipped * knot_us
                 continue
             yield next_us
             next_us += knot_us
 
     def _tick(self, now_us: int) -> None:
+        """One round of the loop. After a long pause of this computer's it first hears how the
+        devices are: what came in the pause is old, and buffers kept no more than they hold."""
+        if self._listen:
+            self._listen -= 1
+            self.deadline_misses += self.loop.phase is Phase.RUN
+            self._attend(now_us)
+            return
         running = self.loop.phase is Phase.RUN
         self.loop.read(self._link, now_us)
         tick, outbox = self.loop.tick(now_us)
@@ -115,15 +126,19 @@ class Live:
         rested_us: int | None = None
         self._disarm()
         for now_us in self._knots():
-            self.loop.read(self._link, now_us)
-            self.loop.write(self._link, Outbox(), self._clock.now_us())
-            self.record.publish()
+            self._attend(now_us)
             resting = all(r.status is None or r.status.state in RESTS for r in self._remotes)
             if resting and rested_us is None:
                 rested_us = now_us
             if now_us > last_us or (rested_us is not None and now_us > rested_us + AFTER_US):
                 break
         self._note_end(now_us)
+
+    def _attend(self, now_us: int) -> None:
+        """Takes in what has arrived and sends stamps alone."""
+        self.loop.read(self._link, now_us)
+        self.loop.write(self._link, Outbox(), self._clock.now_us())
+        self.record.publish()
 
     def _disarm(self) -> None:
         """A device that was armed and has no plan yet would hold its axis for good."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
+from headway.cli.chaos import chaos
 from headway.cli.check import check
 from headway.cli.completion import completion
 from headway.cli.export import export
@@ -47,7 +48,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for command in (init, check, keys, sync, run, plant, report, sweep, export, completion):
+    for command in (init, check, keys, sync, run, plant, chaos, report, sweep, export, completion):
         app.command(command)
     return app
 

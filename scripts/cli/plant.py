@@ -15,14 +15,13 @@ from headway.cli.changes import Changes, changed_config
 from headway.cli.claim import PLANT, claimed
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.linked import Factor, Kind, check_factor, machine_keys, place_folder
-from headway.cli.stopping import signals_stop
+from headway.cli.stopping import Stoppable, signals_stop
 from headway.cli.wall import WallClock
 
 if TYPE_CHECKING:
     from headway.configs.schema import Config
     from headway.controller.record.recording import Recording
     from headway.sim.outlet import Outlet
-    from headway.sim.realtime import Realtime
 
 
 def plant(
@@ -83,7 +82,7 @@ def plant(
     with ExitStack() as stack:
         recording = _record(record, checked, config.parent, stack)
         outlets = [
-            stack.enter_context(_outlet(link, folder, checked.name, axis.joint))
+            stack.enter_context(outlet_at(link, folder, checked.name, axis.joint))
             for axis in checked.machine.axes
         ]
         from headway.sim.plant import UnstableError
@@ -100,7 +99,7 @@ def plant(
             print(f"{axis.joint}: {outlet.where}")
         print(f"to control it: {_command(config, link, realtime_factor, keys, ports)}", flush=True)
         if until_eof:
-            threading.Thread(target=_stop_at_eof, args=(machine,), daemon=True).start()
+            stop_at_eof(machine)
         try:
             with signals_stop(machine):
                 machine.run()
@@ -119,14 +118,20 @@ def plant(
     return ExitCode.DONE
 
 
-def _stop_at_eof(machine: Realtime) -> None:
-    while sys.stdin.buffer.read(4096):
-        pass
-    machine.stopping = True
+def stop_at_eof(what: Stoppable) -> None:
+    """Sees to it that something stops with whoever has started this process."""
+
+    def watch() -> None:
+        while sys.stdin.buffer.read(4096):
+            pass
+        what.stopping = True
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
-def _outlet(link: Kind, folder: Path, machine: str, device: str) -> Iterator[Outlet]:
+def outlet_at(link: Kind, folder: Path, machine: str, device: str) -> Iterator[Outlet]:
+    """A place at which a device can be reached, while it is needed. Raises Failure."""
     from headway.sim.outlet import PtyOutlet, UdpOutlet
 
     kind = PtyOutlet if link == "serial" else UdpOutlet

@@ -1,0 +1,193 @@
+"""Controllers that are killed, stopped and unplugged while the machine moves.
+
+Real processes at real ports: exempt from virtual time. What is judged is the plant's own record, by
+its own clock, so a slow computer makes a test slow and no other.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import CONT, KILL, PATIENCE_S, STOP, Controller, Machine, speeds, ways, within_limits
+
+from headway.controller.record.columns import Arrays
+
+KILLS = int(os.environ.get("HEADWAY_KILLS", "10"))
+AFTER_US = 100_000  # beyond the plan, for the servo to settle
+PEAKS_S = [0.5556, 1.1111, 1.6667]  # where q2 is fastest, and at 1.1111 q1 as well
+TRIES = 10  # at real time a busy computer may not even start a task
+
+
+def rests(truth: Arrays, from_us: int, to_us: int) -> bool:
+    """Whether no axis moves in a span, but for what friction lets it creep."""
+    way = ways(truth, from_us, to_us)
+    return bool(np.all(way < 1e-3 + 0.02e-6 * (to_us - from_us)))
+
+
+def moving(machine: Machine, task_s: float, ports: Path | None = None) -> Controller:
+    """A controller that has its machine in motion, at a time of the task."""
+    for _ in range(TRIES):
+        controller = machine.controller(ports)
+        if controller.await_task(task_s):
+            return controller
+        controller.wait()
+    raise AssertionError(machine.said)
+
+
+def kill(folder: Path, kind: str, phases: list[float]) -> None:
+    """Kills a controller at each of these times of its task; the next one takes over."""
+    killed_us = []
+    folder.mkdir()
+    with Machine(folder, kind, 1.0) as machine:
+        for phase in phases:
+            controller = moving(machine, phase)
+            controller.send(KILL)
+            killed_us.append(machine.now_us())
+            assert controller.wait() == -KILL
+            machine.pause(machine.plan_us + 2 * AFTER_US)
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    assert np.median([speeds(truth, at_us - 20_000, at_us).max() for at_us in killed_us]) > 1.0
+    for at_us in killed_us:
+        rested_us = at_us + machine.plan_us + AFTER_US
+        assert rests(truth, rested_us, rested_us + AFTER_US)
+
+
+def test_a_killed_controller_leaves_a_machine_that_comes_to_rest(tmp_path: Path) -> None:
+    """At peak speed, and at any phase, over both kinds of link."""
+    rng = np.random.default_rng(3)
+    phases = [PEAKS_S[n % 3] if n % 2 else rng.uniform(0.1, 1.7) for n in range(KILLS)]
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            pool.submit(kill, tmp_path / kind, kind, phases[half::2])
+            for half, kind in enumerate(("serial", "udp"))
+        ]
+        for job in jobs:
+            job.result()
+
+
+@pytest.mark.parametrize("kind", ["serial", "udp"])
+def test_a_stopped_controller_executes_nothing_old(tmp_path: Path, kind: str) -> None:
+    """SIGSTOP for 10 ms to 5 s. What was computed before is not executed after; what has come to
+    rest stays at rest, and the controller says so."""
+    stops_us = [10_000, 100_000, 300_000, 1_000_000, 5_000_000][kind == "udp" :: 2]
+    spans = []
+    with Machine(tmp_path, kind, 1.0) as machine:
+        for stop_us in stops_us:
+            controller = moving(machine, PEAKS_S[1])
+            controller.send(STOP)
+            stopped_us = machine.now_us()
+            machine.pause(stop_us)
+            controller.send(CONT)
+            went_on_us = machine.now_us()
+            if stop_us > machine.plan_us + 50_000:
+                assert controller.wait() == 4
+                assert "no plan reached it in time" in machine.said
+                spans.append((stopped_us, machine.now_us()))
+            else:
+                if controller.await_task(PEAKS_S[1] + 0.1):
+                    controller.send(signal.SIGTERM)
+                    assert controller.wait() == 130
+                else:  # nor is a pause of 20 ms and more good for the clocks
+                    assert controller.wait() == 4
+                machine.pause(machine.plan_us + 2 * AFTER_US)
+            assert went_on_us > stopped_us
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    for stopped_us, ended_us in spans:
+        rested_us = stopped_us + machine.plan_us + AFTER_US
+        assert rests(truth, rested_us, max(ended_us, rested_us) + AFTER_US)
+
+
+def test_a_stop_by_signal_is_coordinated(tmp_path: Path) -> None:
+    """Both axes follow one plan to its end: none stops before the other by more than a knot."""
+    with Machine(tmp_path, "serial", 1.0) as machine:
+        controller = moving(machine, PEAKS_S[1])
+        controller.send(signal.SIGINT)
+        at_us = machine.now_us()
+        assert controller.wait() == 130
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    rested_us = at_us + machine.plan_us + AFTER_US
+    assert speeds(truth, at_us - 20_000, at_us).max() > 1.0
+    assert rests(truth, rested_us, rested_us + AFTER_US)
+    # Of the plan's last tenth both do the same: the references reach their ends together.
+    rate = np.abs(truth["servo_setpoint_rate_pq"])[truth["servo_us"] > at_us]
+    ends = [np.flatnonzero(rate[:, axis] > 0)[-1] for axis in range(2)]
+    assert abs(ends[0] - ends[1]) <= 5  # milliseconds
+
+
+def test_a_plant_that_dies_is_told(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, "serial", 1.0)
+    controller = moving(machine, 0.5)
+    machine.process.kill()
+    machine.process.wait()
+    assert controller.wait() == 4
+    assert "has gone" in machine.said and "no longer answers" in machine.said
+
+
+def test_a_cable_pulled_and_plugged_in_elsewhere_moves_nothing(tmp_path: Path) -> None:
+    """All ptys vanish at speed and come back under other names. The machine rests, and goes on when
+    an operator says so."""
+    with Machine(tmp_path, "serial", 1.0) as machine:
+        with wire(machine, tmp_path / "here") as cable:
+            controller = moving(machine, PEAKS_S[1], tmp_path / "here")
+            pulled_us = machine.now_us()
+            cable.kill()
+            assert controller.wait() == 4
+        assert "has gone" in machine.said
+        with wire(machine, tmp_path / "there"):
+            machine.pause(1_000_000)
+            plugged_us = machine.now_us()
+            controller = moving(machine, 0.1, tmp_path / "there")
+            controller.send(signal.SIGTERM)
+            assert controller.wait() == 130
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    assert rests(truth, pulled_us + machine.plan_us + AFTER_US, plugged_us)
+
+
+def test_it_tracks_through_a_bad_wire(tmp_path: Path) -> None:
+    """Loss, doubles, flipped bits, packets out of turn: nothing is refused, and it moves on."""
+    bad = ["loss=0.05", "duplicate=0.05", "reorder=0.05", "reorder_us=2000", "jitter_us=500"]
+    bad += ["delay_us=500"]
+    words = [word for change in bad for word in ("--set", change)]
+    words += ["--corrupt", "0.05"]
+    with Machine(tmp_path, "udp", 0.5) as machine, wire(machine, tmp_path / "bad", *words):
+        controller = moving(machine, 2.0, tmp_path / "bad")
+        controller.send(signal.SIGTERM)
+        assert controller.wait() == 130
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    assert truth["end_plans_refused"].tolist() == [0]
+
+
+@contextmanager
+def wire(machine: Machine, ports: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """`headway chaos` between a machine's ports and others."""
+    end = time.monotonic() + PATIENCE_S
+    while len(list(machine.ports.glob("arm2-*"))) < 2 and time.monotonic() < end:
+        time.sleep(0.05)
+    headway = str(Path(sys.executable).with_name("headway"))
+    more = ["--link", machine.kind, "--realtime-factor", f"{machine.factor:g}", "--until-eof"]
+    process = subprocess.Popen(
+        [headway, "chaos", str(machine.ports), str(ports), *more, *words],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None and process.stdin is not None
+        assert "q1" in process.stdout.readline() and "q2" in process.stdout.readline()
+        yield process
+        process.stdin.close()
+        assert process.wait(PATIENCE_S) in (0, -signal.SIGKILL)
+    finally:
+        process.kill()
+        process.wait()
