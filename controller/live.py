@@ -169,6 +169,10 @@ class Live:
             "gate_refused": sum(status.plans_refused for status in statuses),
         }
 
+    def frames_bad(self) -> int:
+        """Packets from the devices' ports that were not theirs, or damaged."""
+        return sum(remote.frames_bad for remote in self._remotes)
+
     def device_states(self) -> list[str]:
         """State of every device, by name, as it told last."""
         return [STATES[r.status.state] if r.status else "UNKNOWN" for r in self._remotes]

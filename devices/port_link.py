@@ -45,15 +45,16 @@ class PortLink:
         except PortError as error:
             self.gone.setdefault(device, str(error))
 
-    @property
-    def unsent(self) -> int:
-        """Packets that found no room at their port."""
-        return sum(port.unsent for port in self._ports)
-
-    @property
-    def overlong(self) -> int:
-        """Stretches of bytes that were no packet."""
-        return sum(port.overlong for port in self._ports)
+    def counts(self) -> dict[str, int]:
+        """Packets, ever: sent, received, unsent (no room at their port), dropped (came faster than
+        they were taken); and overlong, stretches of bytes that were no packet."""
+        return {
+            "sent": self.sent,
+            "received": self.received,
+            "unsent": sum(port.unsent for port in self._ports),
+            "dropped": self.dropped,
+            "overlong": sum(port.overlong for port in self._ports),
+        }
 
     def _read(self) -> None:
         """The thread. A stamp is late by what this thread waits for the interpreter; a late stamp

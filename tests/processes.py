@@ -55,7 +55,7 @@ def _control(
         told.value = done_s
 
     try:
-        with live(linked, CONFIG, config, changes, folder, Memory()) as driver:
+        with live(linked, CONFIG, config, changes, folder, Memory()) as (driver, _):
             try:
                 with signals_stop(driver):
                     driver.run(progress)

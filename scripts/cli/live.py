@@ -60,8 +60,8 @@ class Linked:
 @contextmanager
 def live(
     linked: Linked, path: Path, config: Config, overrides: list[str], folder: Path, record: Recorder
-) -> Iterator[Live]:
-    """The loop with its devices found, ready to run; afterwards all is closed.
+) -> Iterator[tuple[Live, PortLink]]:
+    """The loop with its devices found, ready to run, and its link; afterwards all is closed.
 
     Raises Failure where something cannot be found or does not fit.
     """
@@ -79,7 +79,7 @@ def live(
             keys = machine_keys(config, path, linked.keys)
         loop, link = _loop(linked, path, config, keys, place_folder(ports), alive, record, stack)
         try:
-            yield loop
+            yield loop, link
         except Failure as failure:
             if not link.gone:
                 raise

@@ -18,6 +18,8 @@ from headway.cli.linked import Factor, Kind, check_factor, machine_keys, place_f
 from headway.cli.stopping import Stoppable, signals_stop
 from headway.cli.wall import WallClock
 
+LOOPBACK = "127.0.0.1"
+
 if TYPE_CHECKING:
     from headway.configs.schema import Config
     from headway.controller.record.recording import Recording
@@ -32,6 +34,7 @@ def plant(
     realtime_factor: Factor = 1.0,
     keys: Path | None = None,
     ports: Path | None = None,
+    bind: str = LOOPBACK,
     record: Path | None = None,
     seed: int | None = None,
     overrides: Changes = None,
@@ -64,6 +67,9 @@ def plant(
         ~/.config/headway/keys/NAME.
     ports
         The folder for the ports' stable names. Default: headway/ in $XDG_RUNTIME_DIR.
+    bind
+        The address of this computer at which UDP devices can be reached. Default: loopback, which
+        is this computer alone.
     record
         A file for the plant's own account, as run.mcap has it: truth and servos, every
         millisecond, while an output is on. It must not exist yet.
@@ -79,10 +85,12 @@ def plant(
     checked = changed_config(config, changes)
     devices = machine_keys(checked, config, keys)
     folder = place_folder(ports)
+    if bind != LOOPBACK and link != "udp":
+        raise Failure(ExitCode.USAGE, f"--bind {bind}: ptys are not bound: add --link udp")
     with ExitStack() as stack:
         recording = _record(record, checked, config.parent, stack)
         outlets = [
-            stack.enter_context(outlet_at(link, folder, checked.name, axis.joint))
+            stack.enter_context(outlet_at(link, folder, checked.name, axis.joint, bind))
             for axis in checked.machine.axes
         ]
         from headway.sim.plant import UnstableError
@@ -95,6 +103,12 @@ def plant(
             )
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{config}: {' '.join(str(error).split())}") from error
+        if bind != LOOPBACK:
+            print(
+                f"reachable from other computers, at {bind}: frames are authenticated, but nothing "
+                "is encrypted (docs/security.md)",
+                file=sys.stderr,
+            )
         for axis, outlet in zip(checked.machine.axes, outlets, strict=True):
             print(f"{axis.joint}: {outlet.where}")
         print(f"to control it: {_command(config, link, realtime_factor, keys, ports)}", flush=True)
@@ -130,13 +144,18 @@ def stop_at_eof(what: Stoppable) -> None:
 
 
 @contextmanager
-def outlet_at(link: Kind, folder: Path, machine: str, device: str) -> Iterator[Outlet]:
+def outlet_at(
+    link: Kind, folder: Path, machine: str, device: str, bind: str = LOOPBACK
+) -> Iterator[Outlet]:
     """A place at which a device can be reached, while it is needed. Raises Failure."""
     from headway.sim.outlet import PtyOutlet, UdpOutlet
 
-    kind = PtyOutlet if link == "serial" else UdpOutlet
     try:
-        outlet: Outlet = kind(folder, machine, device)
+        outlet: Outlet
+        if link == "serial":
+            outlet = PtyOutlet(folder, machine, device)
+        else:
+            outlet = UdpOutlet(folder, machine, device, bind)
     except OSError as error:
         reason = f"{device}: no port can be offered in {folder}: {error.strerror}"
         raise Failure(ExitCode.USAGE, reason) from error

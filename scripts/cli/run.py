@@ -121,12 +121,16 @@ def run(
     with run_folder(folder) as made:
         save_config(checked, config.parent, folder / "config.yaml")
         with _recording(folder, checked) as recording:
+            driver: Driver
+            counted = dict[str, int]()
             if linked is not None:
-                driver: Driver = _run_live(linked, config, checked, changes, recording, made)
+                driver, counted = _run_live(linked, config, checked, changes, recording, made)
             else:
                 driver = _run_simulated(config, checked, recording, view, made)
         made.keep = True
         summary = _summary(driver, recording, folder / PLANT_NAME)
+        if counted:
+            summary["link"] = counted
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
     if to_json:
@@ -170,11 +174,11 @@ def _run_simulated(
 
 def _run_live(
     linked: Linked, path: Path, config: Config, changes: list[str], recording: Recording, made: Made
-) -> Live:
-    """On the wall clock."""
-    with live(linked, path, config, changes, made.path, recording) as driver:
+) -> tuple[Live, dict[str, int]]:
+    """On the wall clock. Also what the link has counted."""
+    with live(linked, path, config, changes, made.path, recording) as (driver, link):
         _drive(driver, made, None)
-    return driver
+    return driver, link.counts() | {"frames_bad": driver.frames_bad()}
 
 
 def _drive(driver: Driver, made: Made, window: View | None) -> None:
