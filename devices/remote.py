@@ -71,6 +71,10 @@ class Remote:
         self.status: _core.Status | None = None
         self.clock = RemoteClock()
         self.frames_bad = 0
+        self.statuses = 0  # received in this session
+        self.settings: _core.DeviceSettings | None = None  # as it told them, without its key
+        self.faults: list[_core.Fault] | None = None  # its log, oldest first
+        self._wanted: bytes | None = None  # settings to be told; b"": those that it has
         self._odometer = Odometer()
 
     def receive(self, packet: bytes, received_us: int) -> list[tuple[int, int]] | None:
@@ -85,9 +89,12 @@ class Remote:
             return None
         if isinstance(opened, tuple) and opened[0] == _core.FRAME_STATUS:
             status = _core.status_decode(opened[1])
+        elif isinstance(opened, tuple) and self._answered(*opened):
+            return None
         if status is None:
             self.frames_bad += 1
             return None
+        self.statuses += 1
         if not self._session.overtaken:  # else only its samples are news
             self._echoes.append((status.sent_count_us, received_us))
             self.status = status
@@ -96,6 +103,39 @@ class Remote:
                 self._bus.tell(self._device, status.mark)
             self._settle(status)
         return self._odometer.read(status.samples, status.homed)
+
+    def _answered(self, kind: int, payload: bytes) -> bool:
+        """Takes what was asked for besides statuses; False if it is nothing of that."""
+        if kind == _core.FRAME_SETTINGS:
+            settings = _core.DeviceSettings.decode(payload)
+            if settings is not None:
+                self.settings, self._wanted = settings, None
+            return settings is not None
+        if kind == _core.FRAME_FAULTS:
+            faults = _core.faults_decode(payload)
+            if faults is not None:
+                self.faults = faults
+            return faults is not None
+        return False
+
+    def ask_settings(self, wanted: _core.DeviceSettings | None = None) -> None:
+        """Has the device asked for its settings, or told others, until it has answered with those
+        that it has then."""
+        self.settings, self._wanted = None, b"" if wanted is None else wanted.encode()
+
+    def questions(self) -> list[bytes]:
+        """Seals what waits for an answer: a command, settings."""
+        packets = []
+        if (command := self.command_packet()) is not None:
+            packets.append(command)
+        if self._wanted is not None:
+            packets.append(self._session.seal(_core.FRAME_SETTINGS, self._wanted))
+        return packets
+
+    @property
+    def lost(self) -> int:
+        """Frames of this session that the device has sent and that have not arrived (yet)."""
+        return self._session.lost
 
     def _settle(self, status: _core.Status) -> None:
         if self._command and status.command_number >= self._command.number:

@@ -26,6 +26,7 @@ class Session:
         self._session: _core.Session | None = None
         self._asking = True
         self._overtaken = False
+        self._opened = 0
 
     @property
     def welcomed(self) -> bool:
@@ -42,10 +43,15 @@ class Session:
         """Whether the frame opened last was sent before another one that was opened earlier."""
         return self._overtaken
 
+    @property
+    def lost(self) -> int:
+        """Frames of the device's that are missing so far, by their counters."""
+        return 0 if self._session is None else self._session.received - self._opened
+
     def renew(self) -> None:
         """Asks for a new session, as when the device has booted. The old one ends."""
         self._nonce = self._rng.bytes(16)
-        self._session, self._asking = None, True
+        self._session, self._asking, self._opened = None, True, 0
 
     def hello(self) -> bytes:
         """The packet that asks for a session, the same one until `renew`."""
@@ -66,7 +72,7 @@ class Session:
             return "ok"  # the same answer again: its counters go on
         if not self._asking or number <= self._last:
             return "stale"
-        self._last, self._session = number, session
+        self._last, self._session, self._opened = number, session, 0
         return "ok"
 
     def seal(self, type: int, payload: bytes) -> bytes:
@@ -94,6 +100,7 @@ class Session:
         opened = self._session.open(packet)
         if isinstance(opened, tuple):
             self._asking = False
+            self._opened += 1
             self._overtaken = self._session.received == newest
         return opened
 

@@ -42,7 +42,8 @@ def _control(
     """A controller: tells the task's seconds after each tick, and at the end why it ended."""
     os.environ["PYTHONFAULTHANDLER"] = "1"
     from headway.cli.failure import ExitCode, Failure
-    from headway.cli.live import Linked, live
+    from headway.cli.linked import Linked
+    from headway.cli.live import live
     from headway.cli.stopping import signals_stop
     from headway.controller.record.recorder import Memory
     from headway.controller.tick import DeviceError

@@ -15,6 +15,7 @@ from headway.controller.loop import Loop
 from headway.controller.record.recorder import Memory
 from headway.controller.tick import DeviceError, Phase
 from headway.models.machine import load_machine
+from headway.sim.plant_clock import PlantClock
 from headway.sim.world import World
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
@@ -27,6 +28,7 @@ class Bench:
     def __init__(self, oversleep: Callable[[int], int] = lambda _: 0, *changes: str) -> None:
         config = load_config(CONFIGS / "arm2.yaml", ["duration_s=1", *changes])
         self.world = World(config, CONFIGS)
+        self.clock = PlantClock(self.world)
         self.oversleep, self.record = oversleep, Memory()
         self.positions: list[np.ndarray] = []
         loop = Loop(
@@ -36,15 +38,13 @@ class Bench:
         self.live = Live(config, loop, self.world.remotes, self.world.link, self.record, self)
 
     def now_us(self) -> int:
-        return self.world.plant.true_us + self.world.link.epoch_us
+        return self.clock.now_us()
 
     def wait_until(self, time_us: int) -> None:
-        plant, late_us = self.world.plant, self.oversleep(time_us)
-        while self.now_us() < time_us + late_us:
-            plant.step(1)
-            self.world.link.collect()
-            if plant.true_us % 1000 == 0:
-                self.positions.append(plant.position.copy())
+        time_us += self.oversleep(time_us)
+        while self.now_us() < time_us:
+            self.clock.wait_until(min(self.now_us() + 1000, time_us))
+            self.positions.append(self.world.plant.position.copy())
 
     @property
     def task_s(self) -> float:

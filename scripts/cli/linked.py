@@ -1,30 +1,141 @@
-"""What the commands that reach real devices share: their keys, their ports, their factor."""
+"""What the commands that reach real devices share: keys, ports, a plant of their own, the clock."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import tempfile
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from headway.cli.claim import LOOP, claimed
 from headway.cli.failure import ExitCode, Failure
-from headway.cli.wall import FACTORS
+from headway.cli.wall import FACTORS, WallClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     import numpy as np
 
     from headway.configs.schema import Config
     from headway.devices.keys import Keys
     from headway.devices.port import Port
+    from headway.devices.port_link import PortLink
+    from headway.devices.remote import Remote
 
 Kind = Literal["serial", "udp"]
 Factor = Annotated[float, Parameter(name="--realtime-factor")]
 PATIENCE_S = 10.0  # until every device has to have answered
-ASK_S, LOOK_S = 0.2, 0.01
+ROUND_S, ASK_S, LOOK_S = 2.0, 0.2, 0.01
+END_S = 10.0  # for a spawned plant to finish its record
+MAIN = "import sys; from headway.cli.main import main; sys.exit(main())"
+
+
+@dataclass(frozen=True)
+class Linked:
+    """How the devices are reached, as the command line says."""
+
+    kind: Kind
+    factor: float = 1.0
+    spawn: bool = False
+    keys: Path | None = None
+    ports: Path | None = None
+
+    def check(self) -> None:
+        """Raises Failure for what does not go together."""
+        check_factor(self.factor)
+        if self.spawn and (self.keys or self.ports):
+            raise Failure(
+                ExitCode.USAGE,
+                "--spawn starts a plant with keys and ports of its own: leave --keys and --ports "
+                "out, or start `headway plant` yourself",
+            )
+
+    @contextmanager
+    def machine(
+        self, path: Path, config: Config, changes: Sequence[str], record: Path | None = None
+    ) -> Iterator[Reached]:
+        """The machine of the config at `path`; with a plant of our own, which keeps its own account
+        in `record`, if that is asked for. Raises Failure."""
+        if not self.spawn:
+            keys = machine_keys(config, path, self.keys)
+            yield Reached(self, config, keys, place_folder(self.ports), lambda: True)
+            return
+        with ExitStack() as stack:
+            home = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-")))
+            keys = _ephemeral(home / "keys", config)
+            plant = stack.enter_context(_spawned(self, path, changes, home, record))
+            yield Reached(
+                self, config, keys, place_folder(home / "ports"), lambda: plant.poll() is None
+            )
+
+
+@dataclass(frozen=True)
+class Reached:
+    """A machine whose devices can be asked for."""
+
+    linked: Linked
+    config: Config
+    keys: Keys
+    places: Path
+    alive: Callable[[], bool]  # whether a plant of our own still runs
+
+    def remotes(self) -> list[Remote]:
+        """Its devices, of which nothing has been heard yet."""
+        from headway.devices.bus import Bus
+        from headway.devices.core import COAST_KNOTS
+        from headway.devices.remote import Remote
+        from headway.devices.session import Session
+
+        rng = operating_system_rng()
+        patience_us = COAST_KNOTS * self.config.loop.knot_us
+        marks = Bus(len(self.keys.devices)) if self.config.sync.one_bus else None
+        return [
+            Remote(Session(key, rng), patience_us, device, marks)
+            for device, key in enumerate(self.keys.devices.values())
+        ]
+
+    @contextmanager
+    def link(self, clock: WallClock) -> Iterator[PortLink]:
+        """Finds the devices and links them, in real time as far as this computer allows; says what
+        it does not. Raises Failure."""
+        from headway.devices.places import open_places
+        from headway.devices.port_link import PortLink
+
+        def open_all() -> tuple[list[Port], list[str]]:
+            return open_places(self.places, self.linked.kind == "udp")
+
+        ports = find_ports(self.keys, open_all, operating_system_rng(), self.alive)
+        with claimed(LOOP) as refused:
+            for what in refused:
+                print(what, file=sys.stderr)
+            link = PortLink(ports, clock.now_us)
+            try:
+                yield link
+            finally:
+                link.close()
+
+
+def as_linked(
+    link: Kind | None, factor: float, spawn: bool, keys: Path | None, ports: Path | None
+) -> Linked | None:
+    """What a command's options say; None: there is no link. Raises Failure."""
+    if link is None:
+        if spawn or keys or ports or factor != 1:
+            raise Failure(
+                ExitCode.USAGE,
+                "--spawn, --realtime-factor, --keys and --ports are for real links: add "
+                "--link serial or --link udp",
+            )
+        return None
+    linked = Linked(link, factor, spawn, keys, ports)
+    linked.check()
+    return linked
 
 
 def check_factor(factor: float) -> None:
@@ -94,7 +205,7 @@ def find_ports(
         ports, failed = open_all()
         search = Search(ports, keys.devices, rng)
         next_s = 0.0
-        round_s = time.monotonic() + 2.0
+        round_s = time.monotonic() + ROUND_S
         while search.missing and ports and time.monotonic() < round_s:
             if time.monotonic() >= next_s:
                 search.ask()
@@ -118,3 +229,38 @@ def _not_found(missing: Sequence[str], verdicts: dict[str, str], failed: Sequenc
     if len(lines) == 1:
         lines.append("  there is no port to ask: is `headway plant` running, or a board connected?")
     return "\n".join(lines)
+
+
+def _ephemeral(folder: Path, config: Config) -> Keys:
+    from headway.devices.keys import draw_keys, read_keys
+
+    names = [axis.joint for axis in config.machine.axes]
+    draw_keys(folder, names)
+    return read_keys(folder, names)
+
+
+@contextmanager
+def _spawned(
+    linked: Linked, path: Path, changes: Sequence[str], home: Path, record: Path | None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A plant of our own. It ends with us, however we end."""
+    words = ["plant", str(path), "--link", linked.kind, "--realtime-factor", str(linked.factor)]
+    words += ["--keys", str(home / "keys"), "--ports", str(home / "ports"), "--until-eof"]
+    words += [] if record is None else ["--record", str(record)]
+    words += [word for change in changes for word in ("--set", change)]
+    process = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for the loop, which the plant outlives
+    )
+    try:
+        yield process
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -15,8 +15,8 @@ from rich.console import Console
 from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, Made, check_free, run_folder, stamp
-from headway.cli.linked import Factor, Kind
-from headway.cli.live import PLANT_NAME, Linked, live
+from headway.cli.linked import Factor, Kind, Linked, as_linked
+from headway.cli.live import PLANT_NAME, live
 from headway.cli.progress import Bar
 from headway.cli.stopping import signals_stop
 from headway.cli.table import summary_table
@@ -95,15 +95,7 @@ def run(
     ports
         The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR.
     """
-    linked = Linked(link, realtime_factor, spawn, keys, ports) if link else None
-    if linked is None and (spawn or keys or ports or realtime_factor != 1):
-        raise Failure(
-            ExitCode.USAGE,
-            "--spawn, --realtime-factor, --keys and --ports are for real links: add --link serial "
-            "or --link udp",
-        )
-    if linked is not None:
-        linked.check()
+    linked = as_linked(link, realtime_factor, spawn, keys, ports)
     if view:
         if linked is not None:
             raise Failure(ExitCode.USAGE, "--view shows a simulated run: leave --link out")

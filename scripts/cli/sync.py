@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,8 +17,12 @@ from rich.table import Table
 
 from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
+from headway.cli.linked import Factor, Kind, Linked, as_linked
+from headway.cli.wall import WallClock
 
 if TYPE_CHECKING:
+    from headway.configs.schema import Config
+    from headway.controller.settling import Settling
     from headway.devices.clock import ClockState
 
 SHOWN_S = 0.1  # between two states of the table, and two points of the plot
@@ -32,8 +38,15 @@ def sync(
     overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     plot: Path | None = None,
+    link: Kind | None = None,
+    spawn: Annotated[bool, Parameter(negative=())] = False,
+    realtime_factor: Factor = 1.0,
+    keys: Path | None = None,
+    ports: Path | None = None,
 ) -> int:
-    """Watches the clocks of a machine's boards until all have settled, in simulation.
+    """Watches the clocks of a machine's boards until all have settled.
+
+    In simulation; with --link those of boards, or of a plant in another process.
 
     Says for each board its offset as the host measures it, the interval in which the board itself
     says that its error lies, the skew of its oscillator, and the shortest round trip. Nothing is
@@ -61,8 +74,18 @@ def sync(
     plot
         Draws offsets and intervals over time into this file, as SVG, PNG or PDF by its name. Needs
         matplotlib.
+    link
+        How the boards are reached: serial ports or udp. Default: not at all, they are simulated.
+    spawn
+        Starts a plant for this, and ends it afterwards.
+    realtime_factor
+        As of `headway plant`.
+    keys
+        The folder of the machine's keys. Default: ~/.config/headway/keys/NAME.
+    ports
+        The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR.
     """
-
+    linked = as_linked(link, realtime_factor, spawn, keys, ports)
     changes = list(overrides or []) + ([] if seed is None else [f"seed={seed}"])
     checked = changed_config(config, changes)
     for name, value in (("--settled", settled), ("--timeout", timeout)):
@@ -70,20 +93,16 @@ def sync(
             raise Failure(ExitCode.USAGE, f"{name} {value:g}: give seconds, up to 3600")
     if plot is not None:
         _check_plot(plot)
-    from headway.sim.settling import Settling
-
-    try:
-        settling = Settling(checked, config.parent)
-    except ValueError as error:
-        raise Failure(ExitCode.USAGE, f"{config}: {' '.join(str(error).split())}") from error
-    joints = [axis.joint for axis in checked.machine.axes]
-    console = Console(stderr=to_json)
-    history: list[tuple[float, list[ClockState]]] = []
-    with Live(console=console, auto_refresh=False, transient=to_json) as live:
-        while settling.settled_s < settled and settling.time_s < timeout:
-            states = settling.run(SHOWN_S)
-            history.append((settling.time_s, states))
-            live.update(_table(joints, states, settling.time_s, settling.settled_s), refresh=True)
+    with _machine(config, checked, changes, linked) as settling:
+        joints = [axis.joint for axis in checked.machine.axes]
+        console = Console(stderr=to_json)
+        history: list[tuple[float, list[ClockState]]] = []
+        with Live(console=console, auto_refresh=False, transient=to_json) as live:
+            while settling.settled_s < settled and settling.time_s < timeout:
+                states = settling.run(SHOWN_S)
+                history.append((settling.time_s, states))
+                shown = _table(joints, states, settling.time_s, settling.settled_s)
+                live.update(shown, refresh=True)
     done = settling.settled_s >= settled
     if plot is not None:
         _draw(plot, joints, history)
@@ -93,6 +112,29 @@ def sync(
         late = "; ".join(settling.unsettled()) or "all clocks: not for long enough"
         print(f"not settled within {timeout:g} s: {late}", file=sys.stderr)
     return ExitCode.DONE if done else ExitCode.DEVICE
+
+
+@contextmanager
+def _machine(
+    path: Path, config: Config, changes: list[str], linked: Linked | None
+) -> Iterator[Settling]:
+    """The devices, simulated or at their ports. Raises Failure."""
+    from headway.controller.settling import Settling
+
+    if linked is not None:
+        with linked.machine(path, config, changes) as reached:
+            remotes, clock = reached.remotes(), WallClock(linked.factor)
+            with reached.link(clock) as link:
+                yield Settling(config, remotes, link, clock)
+        return
+    from headway.sim.plant_clock import PlantClock
+    from headway.sim.world import World
+
+    try:
+        world = World(config, path.parent)
+    except ValueError as error:
+        raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
+    yield Settling(config, world.remotes, world.link, PlantClock(world))
 
 
 def _table(joints: list[str], states: list[ClockState], time_s: float, settled_s: float) -> Table:
