@@ -70,12 +70,12 @@ class PortLink:
 
     def _take(self, device: int) -> bool:
         """False when the port has gone."""
-        now_us = self._now_us()
         try:
             packets = self._ports[device].read()
         except PortError as error:
             self.gone.setdefault(device, str(error))
             return False
+        now_us = self._now_us()  # of what came before: a stamp may be late, never early
         self.received += len(packets)
         for packet in packets:
             if len(self._arrived) < QUEUE_PACKETS:

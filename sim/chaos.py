@@ -66,14 +66,13 @@ class Chaos:
             due_us = self._pending[0][0] if self._pending else FOREVER_US
             wait_us = max(0, min(due_us - self._clock.now_us(), LOOK_US))
             select.select(self._ends, [], [], self._clock.seconds(wait_us))
-            now_us = self._clock.now_us()
             for device, (port, outlet) in enumerate(zip(self._ports, self._outlets, strict=True)):
                 for packet in outlet.read():
                     self._follow(outlet, packet)
-                    self._take(device, True, packet, now_us)
+                    self._take(device, True, packet, self._clock.now_us())
                 for packet in port.read():
-                    self._take(device, False, packet, now_us)
-            self._deliver(now_us)
+                    self._take(device, False, packet, self._clock.now_us())
+            self._deliver(self._clock.now_us())
 
     def _follow(self, outlet: Outlet, packet: bytes) -> None:
         """Here nobody can tell who is authentic: answers go to who spoke last."""

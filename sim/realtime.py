@@ -7,6 +7,7 @@ and for what the real wire takes beyond that.
 
 from __future__ import annotations
 
+import heapq
 import select
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,6 +54,8 @@ class Realtime:
         self.plant, self.link = world.plant, world.link
         self._outlets, self._clock, self._record = list(outlets), clock, record
         self._epoch_us = 0
+        self._flying: list[tuple[int, int, int, bytes]] = []  # on their way to boards
+        self._number = 0
         self._unknown = np.full(len(outlets), np.nan)
         self._noted_until_us = -1
         self.behind = 0  # times that the computer was too slow
@@ -64,8 +67,8 @@ class Realtime:
         """From power-up until `stopping` is set. Raises UnstableError."""
         self._epoch_us = self.link.epoch_us = self._clock.now_us()
         while not self.stopping:
+            self._listen()
             now_us = self._clock.now_us() - self._epoch_us
-            self._listen(now_us)
             self._advance(now_us)
             self._tell(now_us)
             slice_us = self.plant.true_us + SLICE_US + self._epoch_us
@@ -73,10 +76,15 @@ class Realtime:
             select.select(self._outlets, [], [], max(0.0, self._clock.seconds(spare_us)))
         self._note_end()
 
-    def _listen(self, now_us: int) -> None:
+    def _listen(self) -> None:
+        """What has been read came before now: a stamp may be late, never early."""
         for device, outlet in enumerate(self._outlets):
-            for packet in outlet.read():
-                self.link.send(device, packet, now_us + self._epoch_us)
+            packets = outlet.read()
+            now_us = self._clock.now_us() - self._epoch_us
+            for packet in packets:
+                for arrival_us in self.link.to_device[device].carry(now_us, len(packet)):
+                    self._number += 1
+                    heapq.heappush(self._flying, (arrival_us, self._number, device, packet))
 
     def _advance(self, now_us: int) -> None:
         """Up to now, or as far as one look allows."""
@@ -88,10 +96,19 @@ class Realtime:
         self._late = late_us > BEHIND_US
         end_us = min(now_us, plant.true_us + BURST_US)
         while plant.true_us + plant.step_us <= end_us:
-            next_truth_us = (plant.true_us // TRUTH_US + 1) * TRUTH_US
-            plant.step(max(1, (min(next_truth_us, end_us) - plant.true_us) // plant.step_us))
+            self._deliver(plant.true_us + plant.step_us)
+            next_us = (plant.true_us // TRUTH_US + 1) * TRUTH_US
+            if self._flying:
+                next_us = min(next_us, self._flying[0][0])
+            plant.step(max(1, (min(next_us, end_us) - plant.true_us) // plant.step_us))
             if self._record is not None and plant.true_us % TRUTH_US == 0:
                 self._note(self._record)
+
+    def _deliver(self, until_us: int) -> None:
+        """What arrives by then; a board's inbox holds no more than a board's does."""
+        while self._flying and self._flying[0][0] <= until_us:
+            arrival_us, _, device, packet = heapq.heappop(self._flying)
+            self.plant.nodes[device].deliver(arrival_us, packet)
 
     def _tell(self, now_us: int) -> None:
         self.link.collect()

@@ -5,20 +5,37 @@ its own clock, so a slow computer makes a test slow and no other.
 """
 
 import os
+import resource
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import CONT, KILL, PATIENCE_S, STOP, Controller, Machine, speeds, ways, within_limits
+from processes import (
+    CONFIG,
+    CONT,
+    KILL,
+    PATIENCE_S,
+    STOP,
+    Controller,
+    Machine,
+    speeds,
+    ways,
+    within_limits,
+)
 
 from headway.controller.record.columns import Arrays
+from headway.controller.record.reader import NAME, read_run
+from headway.controller.reference import Sines
+from headway.devices.places import address_of
 
 KILLS = int(os.environ.get("HEADWAY_KILLS", "10"))
 AFTER_US = 100_000  # beyond the plan, for the servo to settle
@@ -170,6 +187,32 @@ def test_it_tracks_through_a_bad_wire(tmp_path: Path) -> None:
     assert truth["end_plans_refused"].tolist() == [0]
 
 
+def test_a_flood_of_junk_moves_nothing(tmp_path: Path) -> None:
+    """Two thousand datagrams a second from somebody else, to each device: the task goes on."""
+    over = threading.Event()
+
+    def flood(ports: Path) -> None:
+        junk = [os.urandom(size).replace(b"\0", b"\1") for size in range(1, 200)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.wait(0.01):
+                for place in ports.glob("*.udp"):
+                    address = address_of(place.read_text())
+                    for packet in junk[:20]:
+                        sender.sendto(packet, address)
+
+    with Machine(tmp_path, "udp", 0.5) as machine:
+        sender = threading.Thread(target=flood, args=(machine.ports,))
+        sender.start()
+        controller = moving(machine, 2.0)
+        controller.send(signal.SIGTERM)
+        assert controller.wait() == 130
+        over.set()
+        sender.join()
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    assert truth["end_plans_refused"].tolist() == [0]
+
+
 @contextmanager
 def wire(machine: Machine, ports: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """`headway chaos` between a machine's ports and others."""
@@ -191,3 +234,53 @@ def wire(machine: Machine, ports: Path, *words: str) -> Iterator[subprocess.Pope
     finally:
         process.kill()
         process.wait()
+
+
+def writer_of(run: subprocess.Popen[str]) -> int:
+    """The process that writes a run's record."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == run.pid and b"record.writer" in (folder / "cmdline").read_bytes():
+                    return int(folder.name)
+        time.sleep(0.05)
+    raise AssertionError("no writer")
+
+
+def test_the_motion_does_not_notice_what_becomes_of_its_record(tmp_path: Path) -> None:
+    """The writer is killed; the disk is full. What was written can be read."""
+    words = ["--link", "udp", "--spawn", "--realtime-factor", "0.5", "--set", "sync.limit_us=2000"]
+    headway = str(Path(sys.executable).with_name("headway"))
+    runs = {
+        name: subprocess.Popen(
+            [headway, "run", str(CONFIG), "--duration", "2", *words, "--out", str(tmp_path / name)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for name in ("killed", "full")
+    }  # fmt: skip
+    writers = {name: writer_of(run) for name, run in runs.items()}
+    for name in runs:
+        file = tmp_path / name / NAME
+        end = time.monotonic() + PATIENCE_S
+        while file.stat().st_size < 200_000 and time.monotonic() < end:
+            time.sleep(0.01)
+    size = (tmp_path / "full" / NAME).stat().st_size
+    resource.prlimit(writers["full"], resource.RLIMIT_FSIZE, (size, size))
+    os.kill(writers["killed"], KILL)
+    for name, run in runs.items():
+        _, said = run.communicate(timeout=PATIENCE_S)
+        assert run.returncode == 5, said
+        assert "the record is incomplete" in said
+        record = read_run(tmp_path / name)
+        assert not record.complete and record.messages["received"] > 100
+        plant = read_run(tmp_path / name / "plant.mcap").arrays
+        start_us = int(record.arrays["task_start_us"][0]) if record.messages["task"] else None
+        if start_us is not None:
+            time_s = (plant["truth_us"] - start_us) * 1e-6
+            wanted = Sines(record.config().task).at(time_s)[0]
+            judged = (time_s > 0.5) & (time_s < 2.0)
+            error = 1e3 * (plant["truth_position"] - wanted)[judged]
+            assert np.sqrt(np.mean(error**2)) < 2.0  # mrad; at rest it would be hundreds
+        assert plant["end_states"].tolist() == [[7, 7]]

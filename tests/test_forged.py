@@ -1,0 +1,43 @@
+"""Frames that nobody with a key has sent: none is taken, each is counted, the machine goes on.
+
+`scripts/forged.py --long` throws a million; here are enough of each kind to see that it can tell.
+"""
+
+import importlib.util
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from headway.controller.tick import DeviceError
+
+ROOT = Path(__file__).resolve().parents[1]
+spec = importlib.util.spec_from_file_location("forged", ROOT / "scripts" / "forged.py")
+assert spec is not None and spec.loader is not None
+forged = importlib.util.module_from_spec(spec)
+sys.modules["forged"] = forged
+spec.loader.exec_module(forged)
+
+
+def test_none_is_taken_and_each_is_counted() -> None:
+    said: list[str] = []
+    assert forged.besiege(14_000, 5, said.append) == []
+    assert len(said) == len(forged.KINDS) + 1
+    assert all(int(line.split()[1]) >= 1900 for line in said[: len(forged.KINDS)])
+
+
+def test_a_frame_that_is_taken_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the key the same frames are no forgeries: the campaign notices."""
+    siege = forged.Siege(2_000, 1)
+
+    def sealed(packet: bytes, *rest: object) -> bytes:
+        remote = siege.world.remotes[0]
+        del packet, rest
+        return bytes(remote.stamp_packets(siege.now_us())[0])
+
+    monkeypatch.setattr(forged, "reseal", sealed)
+    with suppress(DeviceError):  # stamps that lie make a clock doubt
+        siege.run()
+    assert siege.counted["forged"] < siege.thrown["forged"]
+    assert siege.counted["replayed"] == siege.thrown["replayed"]
