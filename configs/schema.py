@@ -110,6 +110,15 @@ class Sync(Section):
     """average: and by x times this more each time, which finds its oscillator's own drift."""
 
 
+class Links(Section):
+    """Where the machine's devices may be found, besides the ports of plants."""
+
+    serial: list[str] = Field(default=["/dev/headway-*"])
+    """Serial ports, with * and ? for what varies. devices/60-headway.rules has boards named so."""
+    udp: list[Annotated[str, Field(pattern=r"^[A-Za-z0-9.-]+:[0-9]{1,5}$")]] = Field(default=[])
+    """Addresses, as HOST:PORT. HELLO is said to each of them."""
+
+
 class Task(Section):
     """What to do. Each kind has keys of its own."""
 
@@ -384,6 +393,8 @@ class Config(Section):
     """The rate, and the distance ahead of now."""
     sync: Sync = Sync()
     """The clocks."""
+    links: Links = Links()
+    """Real devices."""
     task: Task
     """What to do."""
     mpc: Mpc = Mpc()

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import os
 import tempfile
+from glob import glob
 from pathlib import Path
 
+from serial.tools import list_ports
+
+from headway.configs.schema import Links
 from headway.devices.port import Port, PortError, SerialPort, UdpPort
 
 UDP_SUFFIX = ".udp"
@@ -52,17 +56,39 @@ def address_of(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def open_places(folder: Path, udp: bool) -> tuple[list[Port], list[str]]:
-    """Opens all that is there, of one kind; and why what could not be opened was not."""
-    ports, failed = list[Port](), list[str]()
+def places_of(folder: Path, links: Links, udp: bool) -> tuple[list[str], list[str]]:
+    """Paths of serial ports, or addresses: those that plants have left in the folder and those of
+    the config; and why what could not be read was not."""
+    found, failed = list[str](), list[str]()
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if (path.suffix == UDP_SUFFIX) != udp or path.name.startswith("."):
             continue
         try:
-            if udp:
-                ports.append(UdpPort(address_of(path.read_text())))
-            else:
-                ports.append(SerialPort(str(path)))
-        except (OSError, PortError) as error:
+            found.append(path.read_text().strip() if udp else str(path))
+        except OSError as error:
+            failed.append(f"{path}: cannot be read: {error.strerror}")
+    if udp:
+        found += links.udp
+    else:
+        found += sorted(path for pattern in links.serial for path in glob(pattern))
+    return list(dict.fromkeys(found)), failed
+
+
+def open_places(folder: Path, links: Links, udp: bool) -> tuple[list[Port], list[str]]:
+    """Opens all that is there, of one kind; and why what could not be opened was not."""
+    found, failed = places_of(folder, links, udp)
+    ports = list[Port]()
+    for place in found:
+        try:
+            ports.append(UdpPort(address_of(place)) if udp else SerialPort(place))
+        except PortError as error:
             failed.append(str(error))
     return ports, failed
+
+
+def usb_of(path: str) -> str:
+    """Vendor, product and serial number of the USB device behind a serial port; "" for others."""
+    for port in list_ports.comports(include_links=True):
+        if port.device == path and port.vid is not None:
+            return f"{port.vid:04x}:{port.pid:04x} {port.serial_number or ''}".strip()
+    return ""

@@ -45,6 +45,11 @@ class PortLink:
         except PortError as error:
             self.gone.setdefault(device, str(error))
 
+    @property
+    def names(self) -> list[str]:
+        """Of the ports, by device."""
+        return [port.name for port in self._ports]
+
     def counts(self) -> dict[str, int]:
         """Packets, ever: sent, received, unsent (no room at their port), dropped (came faster than
         they were taken); and overlong, stretches of bytes that were no packet."""

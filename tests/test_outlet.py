@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from headway.configs.schema import Links
 from headway.devices.discovery import Search
 from headway.devices.places import address_of, open_places, serial_place, udp_place
 from headway.devices.port import PortError, SerialPort, UdpPort
@@ -158,7 +159,7 @@ def test_devices_are_found_by_their_keys(tmp_path: Path, udp: bool) -> None:
     outlets = [kind(tmp_path, "arm", name) for name in ("z", "y", "x")]
     keys = [bytes([n]) * 16 for n in range(3)]
     wanted = {"q1": keys[2], "q2": keys[0], "q3": bytes(16)[:15] + b"\1"}
-    ports, failed = open_places(tmp_path, udp)
+    ports, failed = open_places(tmp_path, Links(serial=[]), udp)
     assert len(ports) == 3 and failed == []
     search = Search(ports, wanted, np.random.default_rng(1))
     search.ask()

@@ -13,82 +13,31 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kills import AFTER_US, PEAKS_S, kills, moving, rests
 from processes import (
     CONFIG,
     CONT,
     KILL,
     PATIENCE_S,
     STOP,
-    Controller,
     Machine,
     speeds,
-    ways,
     within_limits,
 )
 
-from headway.controller.record.columns import Arrays
 from headway.controller.record.reader import NAME, read_run
 from headway.controller.reference import Sines
 from headway.devices.places import address_of
 
-KILLS = int(os.environ.get("HEADWAY_KILLS", "10"))
-AFTER_US = 100_000  # beyond the plan, for the servo to settle
-PEAKS_S = [0.5556, 1.1111, 1.6667]  # where q2 is fastest, and at 1.1111 q1 as well
-TRIES = 10  # at real time a busy computer may not even start a task
-
-
-def rests(truth: Arrays, from_us: int, to_us: int) -> bool:
-    """Whether no axis moves in a span, but for what friction lets it creep."""
-    way = ways(truth, from_us, to_us)
-    return bool(np.all(way < 1e-3 + 0.02e-6 * (to_us - from_us)))
-
-
-def moving(machine: Machine, task_s: float, ports: Path | None = None) -> Controller:
-    """A controller that has its machine in motion, at a time of the task."""
-    for _ in range(TRIES):
-        controller = machine.controller(ports)
-        if controller.await_task(task_s):
-            return controller
-        controller.wait()
-    raise AssertionError(machine.said)
-
-
-def kill(folder: Path, kind: str, phases: list[float]) -> None:
-    """Kills a controller at each of these times of its task; the next one takes over."""
-    killed_us = []
-    folder.mkdir()
-    with Machine(folder, kind, 1.0) as machine:
-        for phase in phases:
-            controller = moving(machine, phase)
-            controller.send(KILL)
-            killed_us.append(machine.now_us())
-            assert controller.wait() == -KILL
-            machine.pause(machine.plan_us + 2 * AFTER_US)
-    truth = machine.truth()
-    assert within_limits(machine, truth)
-    assert np.median([speeds(truth, at_us - 20_000, at_us).max() for at_us in killed_us]) > 1.0
-    for at_us in killed_us:
-        rested_us = at_us + machine.plan_us + AFTER_US
-        assert rests(truth, rested_us, rested_us + AFTER_US)
-
 
 def test_a_killed_controller_leaves_a_machine_that_comes_to_rest(tmp_path: Path) -> None:
-    """At peak speed, and at any phase, over both kinds of link."""
-    rng = np.random.default_rng(3)
-    phases = [PEAKS_S[n % 3] if n % 2 else rng.uniform(0.1, 1.7) for n in range(KILLS)]
-    with ThreadPoolExecutor(2) as pool:
-        jobs = [
-            pool.submit(kill, tmp_path / kind, kind, phases[half::2])
-            for half, kind in enumerate(("serial", "udp"))
-        ]
-        for job in jobs:
-            job.result()
+    """At peak speed, and at any phase, over both kinds of link; the next one takes over."""
+    assert kills(tmp_path, 10, 3) == []
 
 
 @pytest.mark.parametrize("kind", ["serial", "udp"])
@@ -201,7 +150,7 @@ def test_a_flood_of_junk_moves_nothing(tmp_path: Path) -> None:
                         sender.sendto(packet, address)
 
     with Machine(tmp_path, "udp", 0.5) as machine:
-        sender = threading.Thread(target=flood, args=(machine.ports,))
+        sender = threading.Thread(target=flood, args=(machine.ports,), daemon=True)
         sender.start()
         controller = moving(machine, 2.0)
         controller.send(signal.SIGTERM)

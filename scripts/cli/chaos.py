@@ -86,6 +86,7 @@ def chaos(
     made = _channel(channel or [])
     import numpy as np
 
+    from headway.configs.schema import Links
     from headway.devices.places import open_places
     from headway.devices.port import PortError
     from headway.sim.chaos import Chaos, Trouble
@@ -94,7 +95,7 @@ def chaos(
     if devices.resolve() == folder.resolve():
         raise Failure(ExitCode.USAGE, f"{ports}: the ports offered need a folder of their own")
     with ExitStack() as stack:
-        found, failed = open_places(devices, link == "udp")
+        found, failed = open_places(devices, Links(serial=[]), link == "udp")
         for port in found:
             stack.callback(port.close)
         if not found or failed:

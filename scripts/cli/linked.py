@@ -45,6 +45,7 @@ class Linked:
     spawn: bool = False
     keys: Path | None = None
     ports: Path | None = None
+    punctual: bool = True  # whether to ask the operating system for what claim.py does
 
     def check(self) -> None:
         """Raises Failure for what does not go together."""
@@ -108,11 +109,11 @@ class Reached:
         from headway.devices.port_link import PortLink
 
         def open_all() -> tuple[list[Port], list[str]]:
-            return open_places(self.places, self.linked.kind == "udp")
+            return open_places(self.places, self.config.links, self.linked.kind == "udp")
 
         ports = find_ports(self.keys, open_all, operating_system_rng(), self.alive)
-        with claimed(LOOP) as refused:
-            for what in refused:
+        with ExitStack() as stack:
+            for what in stack.enter_context(claimed(LOOP)) if self.linked.punctual else ():
                 print(what, file=sys.stderr)
             link = PortLink(ports, clock.now_us)
             try:
@@ -191,7 +192,6 @@ def find_ports(
     open_all: Callable[[], tuple[list[Port], list[str]]],
     rng: np.random.Generator,
     alive: Callable[[], bool] = lambda: True,
-    patience_s: float = PATIENCE_S,
 ) -> list[Port]:
     """The port of each device, in the order of the keys.
 
@@ -200,7 +200,7 @@ def find_ports(
     """
     from headway.devices.discovery import Search
 
-    end_s = time.monotonic() + patience_s
+    end_s = time.monotonic() + PATIENCE_S
     while True:
         ports, failed = open_all()
         search = Search(ports, keys.devices, rng)

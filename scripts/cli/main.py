@@ -14,6 +14,8 @@ from cyclopts import App, CycloptsError
 from headway.cli.chaos import chaos
 from headway.cli.check import check
 from headway.cli.completion import completion
+from headway.cli.devices import devices
+from headway.cli.doctor import doctor
 from headway.cli.export import export
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, stamp
@@ -48,8 +50,22 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for command in (init, check, keys, sync, run, plant, chaos, report, sweep, export, completion):
+    for command in (
+        init,
+        check,
+        keys,
+        doctor,
+        sync,
+        run,
+        plant,
+        chaos,
+        report,
+        sweep,
+        export,
+        completion,
+    ):
         app.command(command)
+    app.command(devices)
     return app
 
 

@@ -1,0 +1,310 @@
+"""`headway devices`: what is connected, how it is, and the settings that it has."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+from rich.console import Console
+from rich.table import Table
+
+from headway.cli.changes import Changes, changed_config
+from headway.cli.failure import ExitCode, Failure
+from headway.cli.linked import Factor, Kind, Linked
+from headway.cli.wall import WallClock
+
+if TYPE_CHECKING:
+    from headway.configs.schema import Config
+    from headway.devices.port_link import PortLink
+    from headway.devices.remote import Remote
+
+ANSWER_S = 3.0  # for what a device is asked
+LISTEN_S = 1.0  # for clocks and counters
+
+HELP = """What is connected, how it is, and the settings that it has.
+
+Example: which boards of the arm are there, and how are they?
+
+    headway devices list configs/arm2.yaml
+"""
+
+devices = App(name="devices", help=HELP, help_format="markdown")
+
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+
+
+@dataclass(frozen=True)
+class Where:
+    """What all of these commands take."""
+
+    link: Kind = "serial"
+    """How the devices are reached: serial or udp."""
+    realtime_factor: Factor = 1.0
+    """As of `headway plant`."""
+    keys: Path | None = None
+    """The folder of the machine's keys. Default: ~/.config/headway/keys/NAME."""
+    ports: Path | None = None
+    """The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR."""
+    overrides: Changes = None
+    """Changes one key of the config; may be repeated."""
+
+
+Place = Annotated[Where, Parameter(name="*")]
+HERE = Where()
+
+
+@devices.command(name="list")
+def list_(config: Path, /, *, where: Place = HERE, to_json: Json = False) -> int:
+    """Lists the devices of a machine: port, name, firmware, state, clock, faults, counters.
+
+    Begins a session with each device that rests, as a controller does; of one that moves, which is
+    somebody else's, it tells only that it is there.
+
+    Example: as a table, and for a script.
+
+        headway devices list configs/arm2.yaml --link udp
+        headway devices list configs/arm2.yaml --link udp --json
+
+    Parameters
+    ----------
+    config
+        The YAML file of a machine.
+    to_json
+        Prints the same as JSON.
+    """
+    with _attached(config, where) as room:
+        for remote in room.remotes:
+            remote.ask_settings()
+            remote.ask("FAULTS")
+        room.run(lambda remote: remote.settings is not None and remote.faults is not None)
+        room.listen(LISTEN_S)
+        rows = [room.told(i) for i in range(len(room.remotes))]
+    if to_json:
+        print(json.dumps(rows, indent=2))
+    else:
+        Console().print(_table(rows))
+    return ExitCode.DONE
+
+
+@devices.command(name="set")
+def set_(config: Path, /, *, where: Place = HERE) -> int:
+    """Gives each device the settings that its config makes, until its next power-up.
+
+    Only a device at rest with its output off takes them. Its key stays.
+
+    Example: other gains for a first try.
+
+        headway devices set configs/arm2.yaml --set machine.axes.0.servo.kp_Nm_per_rad=90
+
+    Parameters
+    ----------
+    config
+        The YAML file of a machine.
+    """
+    from headway.devices.settings import device_settings
+
+    with _attached(config, where) as room:
+        c = room.config
+        try:
+            wanted = [device_settings(a, c.device, c.loop, c.sync) for a in c.machine.axes]
+        except ValueError as error:
+            raise Failure(ExitCode.USAGE, f"{config}: {error}") from error
+        return room.give([settings.encode() for settings in wanted])
+
+
+@devices.command
+def save(config: Path, /, *, where: Place = HERE, out: Path | None = None) -> int:
+    """Has each device keep the settings that it has now, also without power.
+
+    Example: keep them, with a copy for `headway devices restore`.
+
+        headway devices save configs/arm2.yaml --out arm2-settings.json
+
+    Parameters
+    ----------
+    config
+        The YAML file of a machine.
+    out
+        A file for a copy, without keys. It must not exist yet.
+    """
+    with _attached(config, where) as room:
+        for remote in room.remotes:
+            remote.ask_settings()
+            remote.ask("SAVE")
+        room.run(lambda remote: remote.settings is not None and remote.answer() is not None)
+        answers = {joint: r.answer() for joint, r in zip(room.joints, room.remotes, strict=True)}
+        copy = {
+            joint: remote.settings.encode().hex()
+            for joint, remote in zip(room.joints, room.remotes, strict=True)
+            if remote.settings is not None
+        }
+    if out is not None:
+        try:
+            with out.open("x", encoding="utf-8") as file:
+                json.dump(copy, file, indent=2)
+        except OSError as error:
+            raise Failure(ExitCode.USAGE, f"--out {out}: {error.strerror}") from error
+    return _verdict(answers, "kept", "its output is on" if "NOT_NOW" in answers.values() else "")
+
+
+@devices.command
+def restore(config: Path, copy: Path, /, *, where: Place = HERE) -> int:
+    """Gives each device the settings of a copy that `headway devices save` has made.
+
+    They hold until the next power-up; `headway devices save` has them kept.
+
+    Example: back to what was good.
+
+        headway devices restore configs/arm2.yaml arm2-settings.json
+
+    Parameters
+    ----------
+    config
+        The YAML file of a machine.
+    copy
+        The file.
+    """
+    from headway.firmware import _core
+
+    with _attached(config, where) as room:
+        try:
+            texts = json.loads(copy.read_text(encoding="utf-8"))
+            wanted = [bytes.fromhex(texts[joint]) for joint in room.joints]
+            good = all(_core.DeviceSettings.decode(each) is not None for each in wanted)
+        except OSError as error:
+            raise Failure(ExitCode.USAGE, f"{copy}: {error.strerror}") from error
+        except (ValueError, LookupError, TypeError):
+            good = False
+        if not good:
+            raise Failure(
+                ExitCode.USAGE,
+                f"{copy}: is no copy of the settings of {', '.join(room.joints)}: make one with "
+                "`headway devices save --out`",
+            )
+        return room.give(wanted)
+
+
+class Room:
+    """The devices of a machine, for as long as they are talked to."""
+
+    def __init__(
+        self, config: Config, remotes: list[Remote], link: PortLink, clock: WallClock,
+        names: list[str],
+    ) -> None:  # fmt: skip
+        self.config, self.remotes, self._link, self._clock = config, remotes, link, clock
+        self.joints = [axis.joint for axis in config.machine.axes]
+        self._names = names
+
+    def run(self, done: Callable[[Remote], bool]) -> None:
+        """Attends until all are done, or patience is over."""
+        end_us = self._clock.now_us() + round(ANSWER_S * 1e6)
+        while not all(done(r) for r in self.remotes) and self._clock.now_us() < end_us:
+            self.listen(0)
+
+    def listen(self, seconds: float) -> None:
+        """Attends for a while, or for one knot."""
+        from headway.devices.attend import attend
+
+        knot_us = self.config.loop.knot_us
+        now_us = self._clock.now_us()
+        end_us = now_us + round(seconds * 1e6)
+        while True:
+            now_us = now_us // knot_us * knot_us + knot_us
+            self._clock.wait_until(now_us)
+            attend(self.remotes, self._link, now_us)
+            now_us = max(now_us, self._clock.now_us())
+            if now_us >= end_us:
+                return
+
+    def give(self, wanted: list[bytes]) -> int:
+        """Tells settings, and whether the devices have them now."""
+        from headway.firmware import _core
+
+        for remote, each in zip(self.remotes, wanted, strict=True):
+            remote.ask_settings(_core.DeviceSettings.decode(each))
+        self.run(lambda remote: remote.settings is not None)
+        answers: dict[str, str | None] = {}
+        for joint, remote, each in zip(self.joints, self.remotes, wanted, strict=True):
+            if remote.settings is not None:
+                answers[joint] = "DONE" if remote.settings.encode() == each else "refused"
+            else:
+                answers[joint] = None
+        return _verdict(answers, "taken", "a device takes settings at rest with its output off")
+
+    def told(self, device: int) -> dict[str, Any]:
+        """What there is to tell of a device."""
+        from headway.devices.places import usb_of
+        from headway.devices.stop import REASONS, STATES
+        from headway.firmware import _core
+
+        remote, status = self.remotes[device], self.remotes[device].status
+        row: dict[str, Any] = {
+            "port": self._names[device],
+            "usb": usb_of(self._names[device]),
+            "axis": self.joints[device],
+            "protocol": _core.FRAME_VERSION,
+            "state": "somebody else's" if status is None else STATES[status.state],
+        }
+        if status is None:
+            return row
+        clock = remote.clock.state(self._clock.now_us())
+        faults = remote.faults or []
+        return row | {
+            "name": remote.settings.name if remote.settings else None,
+            "synced": status.synced,
+            "clock_us": None if clock.least_us is None else [clock.least_us, clock.most_us],
+            "round_trip_us": clock.round_trip_us,
+            "faults": [REASONS[fault.reason] for fault in faults],
+            "frames_lost": remote.lost,
+            "frames_bad_here": remote.frames_bad,
+            "frames_bad_there": status.frames_bad,
+        }
+
+
+@contextmanager
+def _attached(path: Path, where: Where) -> Iterator[Room]:
+    """The devices, with a session each where they let us. Raises Failure."""
+    linked = Linked(where.link, where.realtime_factor, False, where.keys, where.ports, False)
+    linked.check()
+    config = changed_config(path, list(where.overrides or []))
+    with linked.machine(path, config, []) as reached:
+        remotes, clock = reached.remotes(), WallClock(linked.factor)
+        with reached.link(clock) as link:
+            room = Room(config, remotes, link, clock, link.names)
+            room.run(lambda remote: remote.established)
+            yield room
+
+
+def _verdict(answers: dict[str, str | None], done: str, hint: str) -> int:
+    for joint, answer in answers.items():
+        told = {None: "no answer", "DONE": done}.get(answer, answer)
+        print(f"{joint}: {told}")
+    if all(answer == "DONE" for answer in answers.values()):
+        return ExitCode.DONE
+    if hint:
+        print(hint, file=sys.stderr)
+    return ExitCode.DEVICE
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    heads = ("port", "axis", "name", "protocol", "state", "clock within [us]", "faults",
+             "lost", "bad here", "bad there")  # fmt: skip
+    table = Table(*heads)
+    for row in rows:
+        within = row.get("clock_us")
+        table.add_row(
+            f"{row['port']} {row['usb']}".strip(), row["axis"], row.get("name") or "-",
+            str(row["protocol"]), row["state"],
+            "-" if within is None else f"{within[0]:.0f} .. {within[1]:.0f}",
+            ", ".join(row.get("faults", [])) or "none",
+            *(str(row.get(key, "-")) for key in (
+                "frames_lost", "frames_bad_here", "frames_bad_there"
+            )),
+        )  # fmt: skip
+    return table
