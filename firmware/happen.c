@@ -91,7 +91,8 @@ bool happen(struct device *device, enum device_event event) {
     device->home.task = TASK_NONE;
     device->state = to;
     if (!(executes(from) && executes(to))) { // another setpoint, from here on
-        device->setpoint.position_pq = device->position_pq;
+        bool held = to == DEVICE_ARMED || to == DEVICE_HOLD;
+        device->setpoint.position_pq = held ? device->hold_pq : device->position_pq;
         monitor_begin(&device->monitor);
     }
     return true;

@@ -21,6 +21,7 @@ from rig import (
     State,
     cart_rig,
     cart_settings,
+    device_settings,
 )
 
 from headway.firmware import _core
@@ -440,3 +441,24 @@ def test_past_its_last_limit_an_axis_is_braked_at_once() -> None:
     rig.run(300_000)
     assert not rig.node.power and axis.v == 0
     assert axis.q < 0.6
+
+
+@pytest.mark.parametrize("off", [-40, -3, 3, 40])
+def test_a_load_that_hangs_below_its_setpoint_is_not_a_stuck_encoder(off: int) -> None:
+    """Held without an integrator it rests off it, by more than a stuck axis would: to begin to hold
+    and to take plans again is no motion of the setpoint."""
+    settings = device_settings()
+    settings.monitor.stuck_pq = 2 << 10
+    rig = Rig(settings=settings)
+    rig.sync()
+    first = rig.start(40)
+    rig.run_to_knot(first + 2)
+    begin, step = rig.now, off // abs(off)  # it sinks by a count in a period
+    rig.encoder = lambda now: step * min(abs(off), (now - begin) // PERIOD_US)
+    rig.run_until(S.HOLD)
+    rig.run(200_000)
+    assert rig.state == S.HOLD
+    rig.epoch += 1
+    assert rig.ask("RESUME", epoch=rig.epoch) == "DONE"
+    rig.run(200_000)
+    assert rig.state == S.ARMED, rig.reason
