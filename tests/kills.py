@@ -18,7 +18,7 @@ from processes import KILL, Controller, Machine, speeds, ways, within_limits
 
 from headway.controller.record.columns import Arrays
 
-AFTER_US = 100_000  # beyond the plan, for the servo to settle
+AFTER_US = 250_000  # beyond the plan: five of the time constants (Kd / Kp) of arm2's servos
 PEAKS_S = [0.5556, 1.1111, 1.6667]  # where q2 is fastest, and at 1.1111 q1 as well
 TRIES = 10  # at real time a busy computer may not even start a task
 

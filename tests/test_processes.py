@@ -4,6 +4,7 @@ Real processes at real ports: exempt from virtual time. What is judged is the pl
 its own clock, so a slow computer makes a test slow and no other.
 """
 
+import json
 import os
 import resource
 import signal
@@ -13,11 +14,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-import pytest
 from kills import AFTER_US, PEAKS_S, kills, moving, rests
 from processes import (
     CONFIG,
@@ -30,7 +31,8 @@ from processes import (
     within_limits,
 )
 
-from headway.controller.record.reader import NAME, read_run
+from headway.cli.main import main
+from headway.controller.record.reader import NAME, RecordError, read_run
 from headway.controller.reference import Sines
 from headway.devices.places import address_of
 
@@ -40,32 +42,27 @@ def test_a_killed_controller_leaves_a_machine_that_comes_to_rest(tmp_path: Path)
     assert kills(tmp_path, 10, 3) == []
 
 
-@pytest.mark.parametrize("kind", ["serial", "udp"])
-def test_a_stopped_controller_executes_nothing_old(tmp_path: Path, kind: str) -> None:
-    """SIGSTOP for 10 ms to 5 s. What was computed before is not executed after; what has come to
-    rest stays at rest, and the controller says so."""
-    stops_us = [10_000, 100_000, 300_000, 1_000_000, 5_000_000][kind == "udp" :: 2]
+def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
+    """Stops a controller for so long each time, at peak speed."""
+    folder.mkdir()
     spans = []
-    with Machine(tmp_path, kind, 1.0) as machine:
+    with Machine(folder, kind, 1.0) as machine:
         for stop_us in stops_us:
-            controller = moving(machine, PEAKS_S[1])
+            controller = moving(machine, PEAKS_S[0])
             controller.send(STOP)
             stopped_us = machine.now_us()
             machine.pause(stop_us)
             controller.send(CONT)
-            went_on_us = machine.now_us()
             if stop_us > machine.plan_us + 50_000:
                 assert controller.wait() == 4
                 assert "no plan reached it in time" in machine.said
                 spans.append((stopped_us, machine.now_us()))
-            else:
-                if controller.await_task(PEAKS_S[1] + 0.1):
-                    controller.send(signal.SIGTERM)
-                    assert controller.wait() == 130
-                else:  # nor is a pause of 20 ms and more good for the clocks
-                    assert controller.wait() == 4
-                machine.pause(machine.plan_us + 2 * AFTER_US)
-            assert went_on_us > stopped_us
+            elif controller.await_task(PEAKS_S[0] + 0.1):
+                controller.send(signal.SIGTERM)
+                assert controller.wait() == 130
+            else:  # on a computer so busy that it has lost its devices in the meantime
+                assert controller.wait() == 4
+            machine.pause(machine.plan_us + 2 * AFTER_US)
     truth = machine.truth()
     assert within_limits(machine, truth)
     for stopped_us, ended_us in spans:
@@ -73,31 +70,40 @@ def test_a_stopped_controller_executes_nothing_old(tmp_path: Path, kind: str) ->
         assert rests(truth, rested_us, max(ended_us, rested_us) + AFTER_US)
 
 
-def test_a_stop_by_signal_is_coordinated(tmp_path: Path) -> None:
+def test_a_stopped_controller_executes_nothing_old(tmp_path: Path) -> None:
+    """SIGSTOP for 10 ms to 5 s. What was computed before is not executed after; what has come to
+    rest stays at rest, and the controller says so."""
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            pool.submit(stops, tmp_path / "serial", "serial", [10_000, 5_000_000]),
+            pool.submit(stops, tmp_path / "udp", "udp", [100_000, 300_000, 1_000_000]),
+        ]
+        for job in jobs:
+            job.result()
+
+
+def test_a_stop_by_signal_is_coordinated_and_a_dead_plant_is_told(tmp_path: Path) -> None:
     """Both axes follow one plan to its end: none stops before the other by more than a knot."""
     with Machine(tmp_path, "serial", 1.0) as machine:
-        controller = moving(machine, PEAKS_S[1])
+        controller = moving(machine, PEAKS_S[0])
         controller.send(signal.SIGINT)
         at_us = machine.now_us()
         assert controller.wait() == 130
+        controller = moving(machine, 0.1)
+        again_us = machine.now_us()
+        machine.process.kill()
+        assert controller.wait() == 4
+        assert "has gone" in machine.said and "no longer answers" in machine.said
     truth = machine.truth()
     assert within_limits(machine, truth)
     rested_us = at_us + machine.plan_us + AFTER_US
     assert speeds(truth, at_us - 20_000, at_us).max() > 1.0
     assert rests(truth, rested_us, rested_us + AFTER_US)
     # Of the plan's last tenth both do the same: the references reach their ends together.
-    rate = np.abs(truth["servo_setpoint_rate_pq"])[truth["servo_us"] > at_us]
+    stop = (truth["servo_us"] > at_us) & (truth["servo_us"] < again_us - 700_000)
+    rate = np.abs(truth["servo_setpoint_rate_pq"])[stop]
     ends = [np.flatnonzero(rate[:, axis] > 0)[-1] for axis in range(2)]
     assert abs(ends[0] - ends[1]) <= 5  # milliseconds
-
-
-def test_a_plant_that_dies_is_told(tmp_path: Path) -> None:
-    machine = Machine(tmp_path, "serial", 1.0)
-    controller = moving(machine, 0.5)
-    machine.process.kill()
-    machine.process.wait()
-    assert controller.wait() == 4
-    assert "has gone" in machine.said and "no longer answers" in machine.said
 
 
 def test_a_cable_pulled_and_plugged_in_elsewhere_moves_nothing(tmp_path: Path) -> None:
@@ -121,23 +127,12 @@ def test_a_cable_pulled_and_plugged_in_elsewhere_moves_nothing(tmp_path: Path) -
     assert rests(truth, pulled_us + machine.plan_us + AFTER_US, plugged_us)
 
 
-def test_it_tracks_through_a_bad_wire(tmp_path: Path) -> None:
-    """Loss, doubles, flipped bits, packets out of turn: nothing is refused, and it moves on."""
+def test_the_task_goes_on_over_a_bad_wire_in_a_flood_of_junk(tmp_path: Path) -> None:
+    """Loss, doubles, flipped bits, packets out of turn; and two thousand datagrams a second from
+    somebody else to each device. Nothing is refused, and it moves on."""
     bad = ["loss=0.05", "duplicate=0.05", "reorder=0.05", "reorder_us=2000", "jitter_us=500"]
-    bad += ["delay_us=500"]
-    words = [word for change in bad for word in ("--set", change)]
+    words = [word for change in [*bad, "delay_us=500"] for word in ("--set", change)]
     words += ["--corrupt", "0.05"]
-    with Machine(tmp_path, "udp", 0.5) as machine, wire(machine, tmp_path / "bad", *words):
-        controller = moving(machine, 2.0, tmp_path / "bad")
-        controller.send(signal.SIGTERM)
-        assert controller.wait() == 130
-    truth = machine.truth()
-    assert within_limits(machine, truth)
-    assert truth["end_plans_refused"].tolist() == [0]
-
-
-def test_a_flood_of_junk_moves_nothing(tmp_path: Path) -> None:
-    """Two thousand datagrams a second from somebody else, to each device: the task goes on."""
     over = threading.Event()
 
     def flood(ports: Path) -> None:
@@ -149,10 +144,10 @@ def test_a_flood_of_junk_moves_nothing(tmp_path: Path) -> None:
                     for packet in junk[:20]:
                         sender.sendto(packet, address)
 
-    with Machine(tmp_path, "udp", 0.5) as machine:
+    with Machine(tmp_path, "udp", 0.5) as machine, wire(machine, tmp_path / "bad", *words):
         sender = threading.Thread(target=flood, args=(machine.ports,), daemon=True)
         sender.start()
-        controller = moving(machine, 2.0)
+        controller = moving(machine, 1.2, tmp_path / "bad")
         controller.send(signal.SIGTERM)
         assert controller.wait() == 130
         over.set()
@@ -200,7 +195,7 @@ def writer_of(run: subprocess.Popen[str]) -> int:
 
 def test_the_motion_does_not_notice_what_becomes_of_its_record(tmp_path: Path) -> None:
     """The writer is killed; the disk is full. What was written can be read."""
-    words = ["--link", "udp", "--spawn", "--realtime-factor", "0.5", "--set", "sync.limit_us=2000"]
+    words = ["--link", "udp", "--spawn", "--set", "sync.limit_us=2000"]
     headway = str(Path(sys.executable).with_name("headway"))
     runs = {
         name: subprocess.Popen(
@@ -233,3 +228,26 @@ def test_the_motion_does_not_notice_what_becomes_of_its_record(tmp_path: Path) -
             error = 1e3 * (plant["truth_position"] - wanted)[judged]
             assert np.sqrt(np.mean(error**2)) < 2.0  # mrad; at rest it would be hundreds
         assert plant["end_states"].tolist() == [[7, 7]]
+
+
+def test_ctrl_c_leaves_a_complete_record_of_a_machine_at_rest(tmp_path: Path) -> None:
+    """As a user does it: one command, one Ctrl-C."""
+    headway = str(Path(sys.executable).with_name("headway"))
+    words = ["--link", "serial", "--spawn", "--set", "sync.limit_us=2000", "--json"]
+    run = subprocess.Popen(
+        [headway, "run", str(CONFIG), "--duration", "60", *words, "--out", str(tmp_path / "run")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    file, end = tmp_path / "run" / NAME, time.monotonic() + PATIENCE_S
+    while time.monotonic() < end and run.poll() is None:
+        with suppress(OSError, RecordError):
+            if read_run(file).messages["tick"] > 50:
+                break
+        time.sleep(0.1)
+    run.send_signal(signal.SIGINT)
+    out, said = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 130 and "interrupted; the machine was brought to rest" in said
+    summary = json.loads(out)
+    assert summary["record"]["complete"] and summary["at_rest_after_end"]
+    assert summary["limits_violated"] == []
+    assert main(["report", str(tmp_path / "run"), "--out", str(tmp_path / "page.html")]) == 0

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.cli.failure import ExitCode, Failure
+from headway.cli.live import PLANT_NAME
 from headway.cli.progress import Bar
 
 if TYPE_CHECKING:
@@ -89,11 +90,15 @@ def _read(path: Path) -> Run:
     """A record with something to show. Raises Failure."""
     from pydantic import ValidationError
 
+    from headway.cli.truth import has_truth, with_truth
     from headway.controller.record.reader import RecordError, read_run
 
     try:
         run = read_run(path)
-        run.config()
+        config = run.config()
+        plant = run.path.with_name(PLANT_NAME)
+        if run.messages["tick"] and plant.exists():
+            run.arrays = with_truth(run.arrays, read_run(plant).arrays, config)
     except RecordError as error:
         raise Failure(ExitCode.USAGE, str(error)) from error
     except ValidationError as error:
@@ -102,7 +107,13 @@ def _read(path: Path) -> Run:
             f"{path}: its config is of another version of headway: use the one that wrote it, "
             f"{run.versions.get('headway')}",
         ) from error
-    if not (run.messages["tick"] and run.messages["truth"] and run.messages["servo"]):
+    if run.messages["tick"] and not has_truth(run.arrays):
+        raise Failure(
+            ExitCode.USAGE,
+            f"{run.path}: nobody has recorded how the machine truly moved: a page needs the record "
+            f"of its plant beside it, as {PLANT_NAME} (`headway plant --record`)",
+        )
+    if not (run.messages["tick"] and has_truth(run.arrays)):
         raise Failure(
             ExitCode.USAGE, f"{run.path}: ends before its task begins: there is nothing to show"
         )
