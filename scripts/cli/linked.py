@@ -122,21 +122,39 @@ class Reached:
                 link.close()
 
 
-def as_linked(
-    link: Kind | None, factor: float, spawn: bool, keys: Path | None, ports: Path | None
-) -> Linked | None:
-    """What a command's options say; None: there is no link. Raises Failure."""
-    if link is None:
-        if spawn or keys or ports or factor != 1:
+@dataclass(frozen=True)
+class Over:
+    """Options of a command that simulates, if it is not told of a link."""
+
+    link: Kind | None = None
+    """How the devices are reached: serial ports or udp. Default: not at all, they are simulated."""
+    spawn: Annotated[bool, Parameter(negative=())] = False
+    """Starts a plant with keys of its own for this, and ends it afterwards."""
+    realtime_factor: float = 1.0
+    """How fast time passes over a link: at 0.05 all clocks take twenty times as long. A plant needs
+    the same."""
+    keys: Path | None = None
+    """The folder of the machine's keys. Default: ~/.config/headway/keys/NAME."""
+    ports: Path | None = None
+    """The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR."""
+
+    def linked(self) -> Linked | None:
+        """None: there is no link. Raises Failure."""
+        if self.link is not None:
+            linked = Linked(self.link, self.realtime_factor, self.spawn, self.keys, self.ports)
+            linked.check()
+            return linked
+        if self.spawn or self.keys or self.ports or self.realtime_factor != 1:
             raise Failure(
                 ExitCode.USAGE,
                 "--spawn, --realtime-factor, --keys and --ports are for real links: add "
                 "--link serial or --link udp",
             )
         return None
-    linked = Linked(link, factor, spawn, keys, ports)
-    linked.check()
-    return linked
+
+
+Link = Annotated[Over, Parameter(name="*")]
+SIMULATED = Over()
 
 
 def check_factor(factor: float) -> None:

@@ -15,7 +15,7 @@ from rich.console import Console
 from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, Made, check_free, run_folder, stamp
-from headway.cli.linked import Factor, Kind, Linked, as_linked
+from headway.cli.linked import SIMULATED, Link, Linked
 from headway.cli.live import PLANT_NAME, live
 from headway.cli.progress import Bar
 from headway.cli.stopping import signals_stop
@@ -41,11 +41,7 @@ def run(
     overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     view: Annotated[bool, Parameter(negative=())] = False,
-    link: Kind | None = None,
-    spawn: Annotated[bool, Parameter(negative=())] = False,
-    realtime_factor: Factor = 1.0,
-    keys: Path | None = None,
-    ports: Path | None = None,
+    over: Link = SIMULATED,
 ) -> int:
     """Runs a config's task in closed loop, in simulation, and measures how well it went.
 
@@ -83,19 +79,8 @@ def run(
     view
         Shows the machine in MuJoCo's own viewer while it runs, at most at real time. Needs a
         display. The run is the same.
-    link
-        How the devices are reached: serial ports or udp. Default: not at all, it is simulated.
-    spawn
-        Starts a plant with keys of its own for this run, and ends it afterwards.
-    realtime_factor
-        How fast time passes over a link: at 0.05 all clocks take twenty times as long. A plant
-        needs the same.
-    keys
-        The folder of the machine's keys. Default: ~/.config/headway/keys/NAME.
-    ports
-        The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR.
     """
-    linked = as_linked(link, realtime_factor, spawn, keys, ports)
+    linked = over.linked()
     if view:
         if linked is not None:
             raise Failure(ExitCode.USAGE, "--view shows a simulated run: leave --link out")
@@ -130,7 +115,10 @@ def run(
     else:
         Console().print(summary_table(summary))
         print(f"written to {folder}")
-        print(f"to look at it: headway report {shlex.quote(str(folder))}")
+        if summary["tracking"]["by"] == "encoders":
+            print("tracking is by what the encoders told: nobody has seen the machine from outside")
+        else:
+            print(f"to look at it: headway report {shlex.quote(str(folder))}")
     return _verdict(summary, driver.stopping, recording.failure)
 
 

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from headway.cli.changes import Changes, changed_config
 from headway.cli.failure import ExitCode, Failure
-from headway.cli.linked import Factor, Kind, Linked, as_linked
+from headway.cli.linked import SIMULATED, Link, Linked
 from headway.cli.wall import WallClock
 
 if TYPE_CHECKING:
@@ -38,11 +38,7 @@ def sync(
     overrides: Changes = None,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     plot: Path | None = None,
-    link: Kind | None = None,
-    spawn: Annotated[bool, Parameter(negative=())] = False,
-    realtime_factor: Factor = 1.0,
-    keys: Path | None = None,
-    ports: Path | None = None,
+    over: Link = SIMULATED,
 ) -> int:
     """Watches the clocks of a machine's boards until all have settled.
 
@@ -74,18 +70,8 @@ def sync(
     plot
         Draws offsets and intervals over time into this file, as SVG, PNG or PDF by its name. Needs
         matplotlib.
-    link
-        How the boards are reached: serial ports or udp. Default: not at all, they are simulated.
-    spawn
-        Starts a plant for this, and ends it afterwards.
-    realtime_factor
-        As of `headway plant`.
-    keys
-        The folder of the machine's keys. Default: ~/.config/headway/keys/NAME.
-    ports
-        The folder where plants leave their ports' names. Default: headway/ in $XDG_RUNTIME_DIR.
     """
-    linked = as_linked(link, realtime_factor, spawn, keys, ports)
+    linked = over.linked()
     changes = list(overrides or []) + ([] if seed is None else [f"seed={seed}"])
     checked = changed_config(config, changes)
     for name, value in (("--settled", settled), ("--timeout", timeout)):

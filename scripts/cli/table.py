@@ -23,12 +23,12 @@ def summary_table(summary: dict[str, Any]) -> Group:
     rows = (
         ("tracking error, rms", length, tracking["rms"]),
         ("tracking error, max", length, tracking["max"]),
-        ("estimate at now, rms", length, _milli(estimate["rms_now"][:n])),
-        ("estimate at commit, rms", length, _milli(estimate["rms_commit"][:n])),
+        ("estimate at now, rms", length, _times(1e3, estimate["rms_now"][:n])),
+        ("estimate at commit, rms", length, _times(1e3, estimate["rms_commit"][:n])),
         (f"{_effort(effort)}, max", effort, torque["max_abs"]),
         (f"{_effort(effort)} limit", effort, torque["limit"]),
         (f"{_effort(effort)} noise, rms", effort, torque["noise_rms"]),
-        (f"{_effort(effort)} clipped", ["%"], [100 * s for s in torque["clipped_share"]]),
+        (f"{_effort(effort)} clipped", ["%"], _times(100, torque["clipped_share"])),
     )
     for name, units, values in rows:
         table.add_row(*_row(name, units, values))
@@ -63,8 +63,9 @@ def _whole_run(summary: dict[str, Any]) -> str:
     )
 
 
-def _milli(values: list[float | None]) -> list[float | None]:
-    return [None if value is None else 1e3 * value for value in values]
+def _times(factor: float, values: list[float | None]) -> list[float | None]:
+    """What nobody knows stays unknown."""
+    return [None if value is None else factor * value for value in values]
 
 
 def _text(value: float | None) -> str:
