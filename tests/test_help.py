@@ -10,15 +10,21 @@ import pytest
 from headway.cli.main import main, make_app
 
 COMMANDS = [name for name in make_app() if not name.startswith("-")]
+LEAVES = [
+    [name, *more]
+    for name in COMMANDS
+    for more in [[sub] for sub in make_app()[name] if not sub.startswith("-")] or [[]]
+]
 HEAVY = {
     "casadi", "filterpy", "glfw", "google.protobuf", "mcap", "mujoco", "numpy", "osqp", "PIL",
     "pinocchio", "pyarrow", "pydantic", "ruamel.yaml", "scipy",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([command, "--help"]) == 0
+@pytest.mark.parametrize("words", [*LEAVES, ["devices"]], ids=" ".join)
+def test_every_command_has_an_example(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    command = " ".join(words)
+    assert main([*words, "--help"]) == 0
     out, err = capsys.readouterr()
     text = " ".join(out.split())
     assert err == ""
@@ -81,11 +87,14 @@ def test_bash_completes_commands(bash: Path) -> None:
     assert completed(bash, "completion", "") == ["bash", "zsh", "fish"]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_bash_completes_options(bash: Path, command: str) -> None:
-    arguments = make_app()[command].assemble_argument_collection()
+@pytest.mark.parametrize("words", LEAVES, ids=" ".join)
+def test_bash_completes_options(bash: Path, words: list[str]) -> None:
+    command = make_app()
+    for word in words:
+        command = command[word]
+    arguments = command.assemble_argument_collection()
     options = {name for argument in arguments for name in argument.names if name[:2] == "--"}
-    assert options <= set(completed(bash, command, "--"))
+    assert options <= set(completed(bash, *words, "--"))
     assert completed(bash, "run", "a.yaml", "--dur") == ["--duration"]
 
 
