@@ -196,8 +196,8 @@ static bool take_group_frame(struct device *device, const struct board *board, c
 }
 
 // The clock's sample is as old as the packet's arrival; what is live is judged now.
-void inbox_take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                int32_t port, uint32_t arrived_us, uint32_t count_us) {
+static void take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
+                 int32_t port, uint32_t arrived_us, uint32_t count_us) {
     size = cobs_decode(packet, size);
     if (port != BOARD_HOST) {
         if (!neighbours_take(device, board, packet, size, port, arrived_us, count_us))
@@ -217,4 +217,12 @@ void inbox_take(struct device *device, struct board *board, uint8_t *packet, int
         taken = take_group_frame(device, board, packet, payload_size, arrived_us, count_us);
     if (!taken)
         device->status.counters.frames_bad++;
+}
+
+void inbox_empty(struct device *device, struct board *board) {
+    uint8_t packet[COBS_BOUND(FRAME_MAX)]; // decoded in place
+    uint32_t arrived_us;
+    int32_t size, port;
+    while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
+        take(device, board, packet, size, port, arrived_us, board_count_us(board));
 }

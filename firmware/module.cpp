@@ -513,10 +513,10 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
     size_t n = times_us.shape(0);
     std::vector<int32_t> value(n), rate(n), curve(n);
     for (size_t i = 0; i < n; i++) {
-        track_value v = track_evaluate(&t, times_us.data()[i], knot_shift);
-        value[i] = v.value;
-        rate[i] = v.rate;
-        curve[i] = v.curve;
+        instant at = instant_at(times_us.data()[i], knot_shift);
+        value[i] = track_value(&t, &at);
+        rate[i] = track_rate(&t, &at);
+        curve[i] = track_curve(&t, &at);
     }
     return nb::make_tuple(array(std::move(value), {n}), array(std::move(rate), {n}),
                           array(std::move(curve), {n}));

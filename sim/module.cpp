@@ -150,9 +150,10 @@ static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) 
     if (n->device.state != DEVICE_RUNNING && n->device.state != DEVICE_COAST)
         return {last.position_pq, last.velocity_pq, last.torque_tq};
     int32_t shift = n->device.settings.knot_shift;
-    track_value position = track_evaluate(&n->device.tracks[TRACK_POSITION], time_us, shift);
-    track_value torque = track_evaluate(&n->device.tracks[TRACK_TORQUE], time_us, shift);
-    return {position.value, position.rate, torque.value};
+    const struct track *position = &n->device.tracks[TRACK_POSITION];
+    const struct track *torque = &n->device.tracks[TRACK_TORQUE];
+    instant at = instant_at(time_us, shift);
+    return {track_value(position, &at), track_rate(position, &at), track_value(torque, &at)};
 }
 
 NB_MODULE(_board, m) {

@@ -1,4 +1,4 @@
-"""The firmware on a Cortex-M0, under qemu: the published vectors give the same bytes as on the host."""
+"""The firmware on a Cortex-M0, under qemu: the vectors give the same bytes as on the host."""
 
 import importlib.util
 import os

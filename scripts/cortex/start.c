@@ -9,5 +9,8 @@ void _start(void);           // newlib's, of rdimon
 static void fault(void) { _Exit(70); }
 
 __attribute__((section(".vectors"), used)) static void (*const vectors[16])(void) = {
-    (void (*)(void))stack_top, _start, fault, fault,
+    (void (*)(void))stack_top,
+    _start,
+    fault,
+    fault,
 };
