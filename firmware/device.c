@@ -157,6 +157,26 @@ void device_report(struct device *device, struct board *board) {
         return;
     device->status_waits = false;
     outbox_status(device, board, count_us);
+    if (device->signals.used)
+        outbox_readings(device, board);
+}
+
+static void run_signals(struct device *device, struct board *board, const struct instant *now) {
+    int32_t *values = device->signals.values;
+    uint8_t inputs = board_digital_inputs(board);
+    values[TRACK_POSITION] = device->setpoint.position_pq;
+    values[TRACK_TORQUE] = device->setpoint.torque_tq;
+    for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
+        values[sink] = device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
+    values[INPUT_POSITION] = fixed_sum(device->encoder_count, device->offset_count);
+    values[INPUT_ERROR] = device->servo.error_pq;
+    values[INPUT_TORQUE] = device->power ? device->servo.torque_tq : 0;
+    values[INPUT_SUPPLY] = board_supply_mV(board);
+    values[INPUT_STATE] = (int32_t)device->state;
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        values[INPUT_DIGITAL + i] = inputs >> i & 1;
+    bool live = device->sync.settled && device->state < DEVICE_FAULT;
+    signals_step(&device->signals, board, &device->clock, device->settings.servo_period_us, live);
 }
 
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
@@ -174,6 +194,8 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     follow(device, board, now.knot, count_us);
     heed_guard(device, count_us);
     drive(device, board, &now, count_us);
+    if (device->signals.used || device->signals.on != 0)
+        run_signals(device, board, &now);
     admit_advance(device, count_us);
     if (now.knot != device->status_knot) {
         device->status_knot = now.knot;

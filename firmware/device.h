@@ -20,6 +20,7 @@
 #include "ramp.h"
 #include "servo.h"
 #include "settings.h"
+#include "signals.h"
 #include "states.h"
 #include "status.h"
 #include "sync.h"
@@ -73,6 +74,8 @@ struct device {
     struct fault_log faults;
     struct track tracks[TRACK_COUNT];
     struct plan plan; // the one being decoded
+    struct signals signals;
+    struct batch batch; // the one being decoded
 };
 
 // Begins anew from what the board remembers. Without good settings, or without a boot number that

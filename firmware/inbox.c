@@ -145,6 +145,7 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
     const uint8_t *payload = frame + FRAME_HEADER_BYTES;
     struct stamps stamps;
     struct command command;
+    struct logic logic;
     switch (frame[1]) {
     case FRAME_SYNC:
         if (!sync_decode(payload, size, &stamps))
@@ -165,6 +166,16 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
         obey(device, board, &command);
         if (command.kind == COMMAND_FAULTS) // also again: the answer may have been lost
             outbox_faults(device, board);
+        return true;
+    case FRAME_SIGNALS:
+        if (!batch_decode(payload, size, &device->batch))
+            return false;
+        signals_take(&device->signals, &device->batch, clock_at(&device->clock, count_us));
+        return true;
+    case FRAME_LOGIC:
+        if (!logic_decode(payload, size, &logic))
+            return false;
+        signals_rule(&device->signals, &logic);
         return true;
     case FRAME_GROUP:
         return group_decode(&device->session, frame, size, &device->group);

@@ -799,7 +799,10 @@ static void name_numbers(nb::module_ &m) {
     m.attr("HOME_METHODS") = Names{"none", "index", "switch", "stop"};
 }
 
+void bind_signals(nb::module_ &m); // module_signals.cpp
+
 NB_MODULE(_core, m) {
+    bind_signals(m);
     m.attr("FRAME_SYNC") = (int)FRAME_SYNC;
     m.attr("FRAME_PLAN") = (int)FRAME_PLAN;
     m.attr("FRAME_STATUS") = (int)FRAME_STATUS;

@@ -19,7 +19,7 @@ struct board {
     int32_t arrived; // packets that wait, in the order of their arrival
     int32_t sent;
     int32_t duty_q15;
-    uint32_t outputs; // bits: power, brake, chopper
+    uint32_t outputs; // bits: power, brake, chopper, digital outputs
     uint32_t taken;   // of those that wait
     uint64_t random;  // the next of the generator's numbers
     struct packet in[PACKETS], out[PACKETS];
@@ -56,6 +56,17 @@ int32_t board_supply_mV(const struct board *board) { return board->supply_mV; }
 bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us) {
     return (void)board, (void)number, (void)count_us, false;
 }
+
+void board_set_digital(struct board *board, int32_t output, bool on, uint32_t count_us) {
+    (void)count_us;
+    set(board, 8u << output, on);
+}
+
+void board_set_pwm(struct board *board, int32_t output, int32_t duty_q15) {
+    (void)board, (void)output, (void)duty_q15;
+}
+
+uint8_t board_digital_inputs(const struct board *board) { return (void)board, 0; }
 
 uint64_t board_random(struct board *board) { return board->random; }
 
