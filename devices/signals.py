@@ -1,7 +1,8 @@
 """What a device does in time beside its axis, as the host has it: pieces, logic, readings.
 
 Both ways it is repeated until there is an answer: pieces and logic until a report has them,
-readings until a batch says that they were seen. So nothing is lost with a frame, and nothing happens twice.
+readings until a batch says that they were seen. So nothing is lost with a frame, and nothing
+happens twice.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from headway.firmware import _core
 
 Node = tuple[int, int, int, int, int]  # kind, a, b, low, high
 Trigger = tuple[int, int, int, int]  # kind, source, condition, every
+Sent = tuple[int, int, tuple[int | None, int, int | None, int]]  # track, number, piece
 WRONG = {
     "kind": "is of a kind that there is not",
     "missing": "reads something that is not there",
@@ -119,9 +121,9 @@ class Signals:
             packets.append(seal(_core.FRAME_SIGNALS, payload))
         return packets
 
-    def _due(self, now_us: int) -> list[tuple[int, int, tuple[int | None, int, int | None, int]]]:
+    def _due(self, now_us: int) -> list[Sent]:
         """Pieces that have no answer and for which the device has room."""
-        due = []
+        due: list[Sent] = []
         for track, pieces in self._pieces.items():
             for number in range(self._next.get(track, 0), len(pieces)):
                 gone = number - _core.PIECES + 1  # has to have begun

@@ -549,7 +549,7 @@ _Node = tuple[int, int, int, int, int]  # kind, a, b, low, high
 _Trigger = tuple[int, int, int, int]  # kind, source, condition, every
 
 def batch_encode(base_us: int, seen: int, pieces: list[tuple[int, int, _Piece]]) -> bytes:
-    """A SIGNALS payload; a piece with its track and number. Raises ValueError if it does not fit."""
+    """A SIGNALS payload; a piece with track and number. Raises ValueError if it does not fit."""
 
 def logic_encode(
     number: int,

@@ -163,18 +163,23 @@ void device_report(struct device *device, struct board *board) {
 
 static void run_signals(struct device *device, struct board *board, const struct instant *now) {
     int32_t *values = device->signals.values;
-    uint8_t inputs = board_digital_inputs(board);
+    uint32_t reads = device->signals.reads;
     values[TRACK_POSITION] = device->setpoint.position_pq;
     values[TRACK_TORQUE] = device->setpoint.torque_tq;
     for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
-        values[sink] = device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
-    values[INPUT_POSITION] = fixed_sum(device->encoder_count, device->offset_count);
-    values[INPUT_ERROR] = device->servo.error_pq;
-    values[INPUT_TORQUE] = device->power ? device->servo.torque_tq : 0;
-    values[INPUT_SUPPLY] = board_supply_mV(board);
-    values[INPUT_STATE] = (int32_t)device->state;
-    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
-        values[INPUT_DIGITAL + i] = inputs >> i & 1;
+        if (reads >> sink & 1)
+            values[sink] =
+                device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
+    if (reads >> SOURCE_OF_INPUTS) {
+        uint8_t inputs = board_digital_inputs(board);
+        values[INPUT_POSITION] = fixed_sum(device->encoder_count, device->offset_count);
+        values[INPUT_ERROR] = device->servo.error_pq;
+        values[INPUT_TORQUE] = device->power ? device->servo.torque_tq : 0;
+        values[INPUT_SUPPLY] = board_supply_mV(board);
+        values[INPUT_STATE] = (int32_t)device->state;
+        for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+            values[INPUT_DIGITAL + i] = inputs >> i & 1;
+    }
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
     signals_step(&device->signals, board, &device->clock, device->settings.servo_period_us, live);
 }

@@ -13,6 +13,21 @@ void signals_take(struct signals *signals, const struct batch *batch, int64_t no
     }
 }
 
+static uint32_t bit(uint8_t source) { return source < SOURCE_OF_NODES ? 1u << source : 0; }
+
+static uint32_t reads(const struct logic *logic) {
+    uint32_t all = 0;
+    for (int32_t i = 0; i < logic->nodes; i++)
+        all |= bit(logic->node[i].a) | bit(logic->node[i].b);
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        all |= bit(logic->digital[i]);
+    for (int32_t i = 0; i < BOARD_PWM; i++)
+        all |= bit(logic->pwm[i]);
+    for (int32_t i = 0; i < logic->triggers; i++)
+        all |= bit(logic->trigger[i].source) | bit(logic->trigger[i].condition);
+    return all;
+}
+
 void signals_rule(struct signals *signals, const struct logic *logic) {
     int32_t wrong;
     if (signals->used && logic->number == signals->asked)
@@ -25,6 +40,7 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
         return;
     signals->ruled = true;
     signals->logic = *logic;
+    signals->reads = reads(logic);
     signals->graph.count = logic->nodes;
     signals->graph.held = 0;
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
@@ -123,7 +139,8 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
                   uint16_t period_us, bool live) {
     int64_t time_us = clock->system_us, until_us = time_us + period_us;
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
-        signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
+        if (signals->tracks[i].next != 0)
+            signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
     graph_step(&signals->graph, signals->values);
     if (signals->ruled && live) {
         drive_outputs(signals, board, clock, until_us);

@@ -12,6 +12,7 @@ struct signals {
     bool used;                     // some have come
     bool ruled;                    // there is a logic
     struct logic logic;            // that holds
+    uint32_t reads;                // bit i: it reads source i, a track or an input
     uint32_t asked;                // number of the one that came last ...
     uint8_t result, wrong;         // ... and what was wrong with it
     uint32_t refused;              // pieces, ever
@@ -33,7 +34,8 @@ void signals_rule(struct signals *signals, const struct logic *logic);
 
 void signals_report(const struct signals *signals, struct report *report);
 
-// One servo period at the clock's time. `values` has tracks of motion and inputs. While it is not
+// One servo period at the clock's time. `values` has what is read of tracks
+// of motion and inputs. While it is not
 // `live`, all outputs are off.
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
                   uint16_t period_us, bool live);

@@ -13,11 +13,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scripts" / "fuzzing"
-SECONDS = 20  # a target
+SECONDS = 15  # a target
 HUNT_S = 60  # for a planted bug, at most
 # In a file of firmware/, what a target has to find: (file, code, wrong code).
 BUGS = {
     "plans": ("gate.c", "if (d2 > limits->second_difference_max ||", "if ("),
+    "graphs": (
+        "graph.c",
+        "return source >= SOURCE_OF_NODES + at ?",
+        "return source > SOURCE_OF_NODES + at ?",
+    ),
     "bytes": ("cobs.c", "read + length - 1 > size", "read + length - 2 > size"),
 }
 
@@ -81,7 +86,7 @@ def test_a_planted_bug_is_found(
     [
         ([], "usage: scripts/fuzz SECONDS"),
         (["soon"], "usage: scripts/fuzz SECONDS"),
-        (["5", "gate"], "no target called gate; there are: bytes, plans"),
+        (["5", "gate"], "no target called gate; there are: bytes, plans, graphs"),
     ],
 )
 def test_mistakes(words: list[str], message: str) -> None:

@@ -177,9 +177,11 @@ def test_one_stream_fires_on_two_boards_at_once(loss: float) -> None:
     for host in boards.hosts.values():
         host.remote.signals.rule(Logic(digital=[TRACK]))
         host.remote.signals.write(TRACK, stream)
-    boards.advance(4_000_000)
+    widest = 0.0  # what the boards themselves told of their clocks while it lasted
+    for now_us in range(2_900_000, 4_000_000, 10_000):
+        boards.advance(now_us)
+        widest = max([widest, *(max(-low, high) / 1000 for low, high in boards.told_ns())])
     fired = [rising(boards, board)[-28:] for board in (0, 1)]
-    widest = max(max(-low, high) for low, high in boards.told_ns()) / 1000
     assert widest < 400
     for board in (0, 1):
         assert boards.hosts[board].remote.signals.settled

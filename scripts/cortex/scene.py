@@ -62,6 +62,7 @@ class Scene:
         self._points: dict[int, list[int]] = {}
         self._knot = 0
         self.rig.sync().arm()
+        self._rule()
         self._first()
         self.run(WARM_UP_US)
 
@@ -79,6 +80,14 @@ class Scene:
         range_step = (limits.point_max - limits.point_min) * turn / 2
         most = min(limits.difference_max, limits.second_difference_max / turn, range_step) / 10
         return float(most * np.cos(knot * turn))
+
+    def _rule(self) -> None:
+        """Two nodes, of which an output follows the second, as the budget has it."""
+        compare, window = _core.NODE_KINDS.index("compare"), _core.NODE_KINDS.index("window")
+        first = _core.SOURCE_OF_NODES
+        nodes = [(compare, POSITION, 0, 0, 1000), (window, TORQUE, 0, -1000, 1000)]
+        payload = _core.logic_encode(1, nodes, [first, first + 1], [], [])
+        self.rig.node.deliver(self.rig.now, self.rig.host.seal(_core.FRAME_LOGIC, payload))
 
     def _first(self) -> None:
         servo = self.settings.servo
