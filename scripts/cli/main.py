@@ -17,6 +17,7 @@ from headway.cli.export import export
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, stamp
 from headway.cli.init import init
+from headway.cli.play import play
 from headway.cli.report import report
 from headway.cli.run import run
 from headway.cli.sweep import sweep
@@ -45,7 +46,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for command in (init, check, sync, run, report, sweep, export, completion):
+    for command in (init, check, sync, run, play, report, sweep, export, completion):
         app.command(command)
     return app
 

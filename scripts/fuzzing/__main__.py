@@ -2,7 +2,7 @@
 
 Targets are the programs of tests/fuzz. What they find interesting is kept in build/fuzz and is
 where the next run begins. Exits 1 at a crash, with the command that replays it, or where too little
-was reached; 2 if something is missing. At the end it prints how many branches of codec, gate and logic
+was reached; 2 if something is missing. At the end: how many branches of codec, gate and logic
 the inputs reach.
 """
 
