@@ -32,9 +32,10 @@ WARM_UP_US = 1_000_000  # on the host alone
 WIRE = ["sync.to_device_least_us=0", "sync.to_host_least_us=0", "sync.limit_us=2000"]
 
 
-def settings() -> _core.DeviceSettings:
+def settings(servo_period_us: int) -> _core.DeviceSettings:
     """A board of arm2's shoulder, with all that costs cycles: an integral, at work in a run."""
-    config = load_config(ROOT / "configs" / "arm2.yaml", WIRE)
+    changes = [*WIRE, f"device.servo_period_us={servo_period_us}"]
+    config = load_config(ROOT / "configs" / "arm2.yaml", changes)
     made = device_settings(config.machine.axes[0], config.device, config.loop, config.sync)
     made.key = bench.KEY
     servo = made.servo
@@ -48,8 +49,8 @@ def settings() -> _core.DeviceSettings:
 class Scene:
     """The rig with its host; `polls` runs it, `twin` puts the emulator beside it."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self.settings = settings()
+    def __init__(self, seed: int = 0, servo_period_us: int = bench.PERIOD_US) -> None:
+        self.settings = settings(servo_period_us)
         monitor = self.settings.monitor
         supply_V = (monitor.supply_min_mV + monitor.supply_max_mV) / 2000
         self.rig = bench.Rig(
