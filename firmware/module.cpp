@@ -533,13 +533,14 @@ static void evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_s
     for (const Table *table : {&values, rates ? &*rates : &values})
         if (table->shape(0) != m || table->shape(1) != k)
             throw std::invalid_argument("a table has a row a time and a column a track");
-    for (size_t i = 0; i < m; i++)
+    for (size_t i = 0; i < m; i++) {
+        instant at = instant_at(times_us.data()[i], knot_shift);
         for (size_t j = 0; j < k; j++) {
-            track_value v = track_evaluate(tracks[j], times_us.data()[i], knot_shift);
-            values(i, j) = v.value;
+            values(i, j) = track_value(tracks[j], &at);
             if (rates)
-                (*rates)(i, j) = v.rate;
+                (*rates)(i, j) = track_rate(tracks[j], &at);
         }
+    }
 }
 
 // Of several tracks, a row each.

@@ -60,8 +60,7 @@ def test_the_same_seed_plays_the_same(tmp_path: Path) -> None:
     file = changed(tmp_path, "duration_s: 2.0", "duration_s: 0.3")
     command = [sys.executable, "-c", "from headway.cli.main import main; main()", "play"]
     done = [
-        subprocess.run([*command, file, "--json"], capture_output=True, text=True)
-        for _ in range(2)
+        subprocess.run([*command, file, "--json"], capture_output=True, text=True) for _ in range(2)
     ]
     assert done[0].returncode == 0, done[0].stderr
     assert done[0].stdout == done[1].stdout
