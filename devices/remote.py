@@ -19,6 +19,7 @@ from headway.devices.bus import NONE, Bus, Mark
 from headway.devices.clock import RemoteClock
 from headway.devices.odometer import Odometer
 from headway.devices.session import Session
+from headway.devices.signals import Signals
 from headway.firmware import _core
 
 GAIN_SINKS = (_core.TRACK_KP, _core.TRACK_KI, _core.TRACK_KD)
@@ -76,6 +77,7 @@ class Remote:
         self.faults: list[_core.Fault] | None = None  # its log, oldest first
         self._wanted: bytes | None = None  # settings to be told; b"": those that it has
         self._odometer = Odometer()
+        self.signals = Signals()
 
     def receive(self, packet: bytes, received_us: int) -> list[tuple[int, int]] | None:
         """Opens a packet; returns a status' samples (time, count without bounds), or None for what
@@ -86,6 +88,12 @@ class Remote:
             verdict = self._session.welcome(packet)
             if verdict != "another frame":  # as of a session that an earlier host has had
                 self.greeting = verdict
+            return None
+        if isinstance(opened, tuple) and opened[0] == _core.FRAME_READINGS:
+            report = _core.report_decode(opened[1])
+            self.frames_bad += report is None
+            if report is not None and not self._session.overtaken:
+                self.signals.note(report)
             return None
         if isinstance(opened, tuple) and opened[0] == _core.FRAME_STATUS:
             status = _core.status_decode(opened[1])
@@ -219,6 +227,12 @@ class Remote:
         for sink, track in self._presumed.items():
             track.write(first_knot, points[sink])
         return self._session.seal(_core.FRAME_PLAN, payload)
+
+    def signal_packets(self, sent_us: int) -> list[bytes]:
+        """What the device has no part of yet of its signals."""
+        if not self._session.established:
+            return []
+        return self.signals.packets(self._session.seal, sent_us)
 
     @property
     def established(self) -> bool:

@@ -532,3 +532,80 @@ class Ramp:
     @property
     def resting(self) -> bool: ...
     def step(self, deceleration_q16: int, torque_step_tq: int, /) -> None: ...
+
+FRAME_SIGNALS: int
+FRAME_LOGIC: int
+FRAME_READINGS: int
+PIECES: int
+BATCH_PIECES: int
+GRAPH_NODES: int
+READINGS: int
+SOURCE_OF_PIECES: int
+SOURCE_OF_INPUTS: int
+SOURCE_OF_NODES: int
+SOURCE_UNUSED: int
+INPUTS: list[str]
+NODE_KINDS: list[str]
+TRIGGER_KINDS: list[str]
+
+# Start [us], end [us], first value, last value; what is None goes on from the piece before.
+_Piece = tuple[int | None, int, int | None, int]
+_Node = tuple[int, int, int, int, int]  # kind, a, b, low, high
+_Trigger = tuple[int, int, int, int]  # kind, source, condition, every
+
+def batch_encode(base_us: int, seen: int, pieces: list[tuple[int, int, _Piece]]) -> bytes:
+    """A SIGNALS payload; a piece with track and number. Raises ValueError if it does not fit."""
+
+def logic_encode(
+    number: int,
+    nodes: list[_Node],
+    digital: list[int],
+    pwm: list[int],
+    triggers: list[_Trigger],
+) -> bytes:
+    """A LOGIC payload. Raises ValueError for more than a device has."""
+
+def logic_check(
+    nodes: list[_Node], digital: list[int], pwm: list[int], triggers: list[_Trigger]
+) -> tuple[str, int]:
+    """What a device would say: "good", or what is wrong and with which; nodes are counted first,
+    then digital outputs, PWM outputs and triggers."""
+
+class Report:
+    """A READINGS payload, see report.h."""
+
+    @property
+    def logic(self) -> int: ...
+    @property
+    def result(self) -> str: ...
+    @property
+    def wrong(self) -> int: ...
+    @property
+    def next(self) -> list[int]: ...
+    @property
+    def refused(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def readings(self) -> list[tuple[int, int, int]]:
+        """Time [us], value, trigger."""
+
+def report_decode(payload: bytes) -> Report | None: ...
+
+class Pieces:
+    """A track of pieces, see piece.h."""
+
+    def __init__(self) -> None: ...
+    @property
+    def next(self) -> int: ...
+    def take(self, number: int, piece: _Piece, now_us: int) -> str: ...
+    def at(self, time_us: int) -> int: ...
+    def now(self, time_us: int, /) -> int: ...
+
+class Graph:
+    """Nodes that are good; step() is one servo period and tells their values."""
+
+    def __init__(self, nodes: list[_Node]) -> None: ...
+    def step(self, values: list[int]) -> list[int]: ...

@@ -49,6 +49,7 @@ static void begin_session(struct device *device) {
     device->session = device->offer.session;
     device->offer.session.begun = false;
     device->group.begun = false;
+    signals_restart(&device->signals);
     status->epoch = 0; // plans of the old session can come no more
     status->command_number = 0;
     status->command_result = COMMAND_DONE;

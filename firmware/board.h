@@ -38,6 +38,14 @@ bool board_index(struct board *board, int32_t *count);
 int32_t board_supply_mV(const struct board *board);
 void board_set_chopper(struct board *board, bool on); // burns what the motor feeds back
 
+// Outputs and inputs beside the axis, as many as it has. A digital output changes at a count, at once
+// if that is past; of one output several changes may wait, in order.
+#define BOARD_DIGITAL 4
+#define BOARD_PWM 2
+void board_set_digital(struct board *board, int32_t output, bool on, uint32_t count_us);
+void board_set_pwm(struct board *board, int32_t output, int32_t duty_q15); // 0 .. 32767
+uint8_t board_digital_inputs(const struct board *board);                   // bit i: input i is on
+
 // The last start of a bus frame: its number and the count at it. False where there is no bus.
 bool board_frame_start(const struct board *board, uint16_t *number, uint32_t *count_us);
 

@@ -51,25 +51,50 @@ static void forget(struct bounds_side *side, int32_t index) {
             (size_t)(side->count - index) * sizeof *side->lines);
 }
 
+// Of a side: its skew may have wandered, and was at least what is left of it all the way.
+static void carry(struct bounds_side *side, const struct bounds_limits *limits,
+                  int64_t wandered_q32, int64_t elapsed_us) {
+    side->skew_q32 -= wandered_q32;
+    if (side->skew_q32 < -limits->drift_q32)
+        side->skew_q32 = -limits->drift_q32;
+    side->value_q16 += ((side->skew_q32 * elapsed_us) >> 16);
+}
+
+// The same from one servo period to the next: 32 bits hold the skew, which is within the drift, and 16
+// what elapses.
+static void carry_briefly(struct bounds_side *side, int32_t drift_q32, int32_t wandered_q32,
+                          uint16_t elapsed_us) {
+    int32_t skew_q32 = (int32_t)side->skew_q32;
+    skew_q32 = skew_q32 < -drift_q32 + wandered_q32 ? -drift_q32 : skew_q32 - wandered_q32;
+    side->skew_q32 = skew_q32;
+    side->value_q16 += fixed_mul_q16(skew_q32, elapsed_us);
+}
+
+static void forget_old(struct bounds_side *side, int64_t ticks_us) {
+    while (side->count > 1 && ticks_us - side->lines[0].ticks_us > BOUNDS_AGE_MAX)
+        forget(side, 0);
+}
+
 void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, int64_t ticks_us) {
     int64_t elapsed_us = ticks_us - bounds->ticks_us;
     if (elapsed_us <= 0)
         return;
-    // Beyond an hour, which nobody waits, the skew may be anything within the drift.
-    int64_t wandered_q32 = elapsed_us < 1LL << 32 ? ((elapsed_us * limits->wander_q64) >> 32) + 1
-                                                  : 2 * (int64_t)limits->drift_q32;
     bounds->ticks_us = ticks_us;
-    struct bounds_side *sides[] = {&bounds->lower, &bounds->upper};
-    for (int32_t i = 0; i < 2; i++) {
-        struct bounds_side *side = sides[i];
-        side->skew_q32 -= wandered_q32;
-        if (side->skew_q32 < -limits->drift_q32)
-            side->skew_q32 = -limits->drift_q32;
-        // The skew was at least this all the way.
-        side->value_q16 += ((side->skew_q32 * elapsed_us) >> 16);
-        while (side->count > 1 && ticks_us - side->lines[0].ticks_us > BOUNDS_AGE_MAX)
-            forget(side, 0);
+    if (elapsed_us <= UINT16_MAX) {
+        uint16_t brief_us = (uint16_t)elapsed_us;
+        int32_t wandered_q32 = (fixed_mul_q16(limits->wander_q64, brief_us) >> 16) + 1;
+        carry_briefly(&bounds->lower, limits->drift_q32, wandered_q32, brief_us);
+        carry_briefly(&bounds->upper, limits->drift_q32, wandered_q32, brief_us);
+    } else {
+        // Beyond an hour, which nobody waits, the skew may be anything within the drift.
+        int64_t wandered_q32 = elapsed_us < 1LL << 32
+                                   ? ((elapsed_us * limits->wander_q64) >> 32) + 1
+                                   : 2 * (int64_t)limits->drift_q32;
+        carry(&bounds->lower, limits, wandered_q32, elapsed_us);
+        carry(&bounds->upper, limits, wandered_q32, elapsed_us);
     }
+    forget_old(&bounds->lower, ticks_us);
+    forget_old(&bounds->upper, ticks_us);
 }
 
 // The least skew, seen from `side`, at which its lines and those of the other side leave room, by

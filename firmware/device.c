@@ -1,6 +1,5 @@
 #include "device.h"
 #include "admit.h"
-#include "cobs.h" // room for packets
 #include "drive.h"
 #include "happen.h"
 #include "inbox.h"
@@ -45,7 +44,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us) 
 }
 
 int64_t device_knot_at(const struct device *device, int64_t time_us) {
-    return time_us >> device->settings.knot_shift;
+    return instant_at(time_us, device->settings.knot_shift).knot;
 }
 
 bool device_at_rest(const struct device *device) {
@@ -63,9 +62,11 @@ void device_take_stamps(struct device *device, const struct sync_source *source,
 static void measure(struct device *device, const struct board *board, int64_t time_us) {
     device->encoder_count = board_encoder_count(board);
     device_locate(device);
-    if (device->periods++ % device->settings.sample_every == 0)
+    if (device->sample_wait-- == 0) {
+        device->sample_wait = device->settings.sample_every - 1;
         history_push(&device->history, time_us,
                      fixed_sum(device->encoder_count, device->offset_count));
+    }
 }
 
 // The last period's motion, judged.
@@ -112,10 +113,6 @@ static bool tracks_rest(const struct device *device, int64_t knot) {
 static void follow_sync(struct device *device, uint32_t count_us) {
     const struct sync *sync = &device->sync;
     int64_t alone_us = device->clock.ticks_us - sync->heard_us;
-    struct breach alone = {REASON_SYNC_LOST, (int32_t)fixed_clamp64(alone_us, INT32_MAX),
-                           (int32_t)device->settings.sync_lost_us};
-    struct breach wide = {REASON_CLOCK, sync_error_us(sync),
-                          (int32_t)device->settings.sync.limit_us};
     bool resting = device->state == DEVICE_UNSYNCED || device->state == DEVICE_IDLE;
     bool wrong = sync->outcast >= SYNC_OUTCAST || sync->doubtful;
     if (resting && wrong) { // not one sample is wrong, but what is known
@@ -124,13 +121,17 @@ static void follow_sync(struct device *device, uint32_t count_us) {
     } else if (sync->settled && alone_us <= device->settings.sync_lost_us) {
         happen(device, EVENT_SYNCED);
     } else if (device->state > DEVICE_UNSYNCED) {
+        struct breach alone = {REASON_SYNC_LOST, (int32_t)fixed_clamp64(alone_us, INT32_MAX),
+                               (int32_t)device->settings.sync_lost_us};
+        struct breach wide = {REASON_CLOCK, sync_error_us(sync),
+                              (int32_t)device->settings.sync.limit_us};
         happen_breach(device, sync->settled ? alone : wide, count_us);
     }
 }
 
 // What follows from time and from the emergency line.
-static void follow(struct device *device, const struct board *board, uint32_t count_us) {
-    int64_t time_us = device->clock.system_us, knot = device_knot_at(device, time_us);
+static void follow(struct device *device, const struct board *board, int64_t knot,
+                   uint32_t count_us) {
     if (device->state < DEVICE_FAULT)
         device->stop_count_us = count_us;
     if (board_stop_line(board))
@@ -150,11 +151,37 @@ static void follow(struct device *device, const struct board *board, uint32_t co
 // step with a bus, and then each status would wait for its turn there as long as any other.
 void device_report(struct device *device, struct board *board) {
     uint32_t count_us = board_count_us(board);
-    neighbours_speak(device, board);
+    if (device->settings.neighbours != 0)
+        neighbours_speak(device, board);
     if (!device->status_waits || (int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
     outbox_status(device, board, count_us);
+    if (device->signals.used)
+        outbox_readings(device, board);
+}
+
+static void run_signals(struct device *device, struct board *board, const struct instant *now) {
+    int32_t *values = device->signals.values;
+    uint32_t reads = device->signals.reads;
+    values[TRACK_POSITION] = device->setpoint.position_pq;
+    values[TRACK_TORQUE] = device->setpoint.torque_tq;
+    for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
+        if (reads >> sink & 1)
+            values[sink] =
+                device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
+    if (reads >> SOURCE_OF_INPUTS) {
+        uint8_t inputs = board_digital_inputs(board);
+        values[INPUT_POSITION] = fixed_sum(device->encoder_count, device->offset_count);
+        values[INPUT_ERROR] = device->servo.error_pq;
+        values[INPUT_TORQUE] = device->power ? device->servo.torque_tq : 0;
+        values[INPUT_SUPPLY] = board_supply_mV(board);
+        values[INPUT_STATE] = (int32_t)device->state;
+        for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+            values[INPUT_DIGITAL + i] = inputs >> i & 1;
+    }
+    bool live = device->sync.settled && device->state < DEVICE_FAULT;
+    signals_step(&device->signals, board, &device->clock, device->settings.servo_period_us, live);
 }
 
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
@@ -166,14 +193,17 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
         neighbours_flush(device);
     }
     int64_t time_us = device->clock.system_us;
+    struct instant now = instant_at(time_us, device->settings.knot_shift);
     measure(device, board, time_us);
     watch(device, board, count_us, late_us);
-    follow(device, board, count_us);
+    follow(device, board, now.knot, count_us);
     heed_guard(device, count_us);
-    drive(device, board, time_us, count_us);
+    drive(device, board, &now, count_us);
+    if (device->signals.used || device->signals.on != 0)
+        run_signals(device, board, &now);
     admit_advance(device, count_us);
-    if (device_knot_at(device, time_us) != device->status_knot) {
-        device->status_knot = device_knot_at(device, time_us);
+    if (now.knot != device->status_knot) {
+        device->status_knot = now.knot;
         device->status_waits = true;
         device->status_us = count_us;
         if (++device->reports % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
@@ -199,11 +229,7 @@ void device_poll(struct device *device, struct board *board) {
         board_set_duty(board, 0);
         return;
     }
-    uint8_t packet[COBS_BOUND(FRAME_MAX)];
-    uint32_t arrived_us;
-    int32_t size, port;
-    while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
-        inbox_take(device, board, packet, size, port, arrived_us, board_count_us(board));
+    inbox_empty(device, board);
     uint32_t count_us = board_count_us(board);
     watch_bus(device, board);
     device_report(device, board);

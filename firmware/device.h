@@ -20,6 +20,7 @@
 #include "ramp.h"
 #include "servo.h"
 #include "settings.h"
+#include "signals.h"
 #include "states.h"
 #include "status.h"
 #include "sync.h"
@@ -31,47 +32,50 @@
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_REST_PQ (1 << 10)   // at rest: measured speed below a count per servo period
 
+// What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
-    struct device_settings settings;
     enum device_state state;
+    uint32_t next_servo_us; // local count of the next servo period
+    uint16_t sample_wait;   // servo periods until the next sample
+    int32_t encoder_count;  // as the board has it
+    int32_t offset_count;   // what it lacks to the axis' position
+    int32_t position_pq;    // measured
+    int32_t hold_pq, hold_tq;
     bool configured; // else it has no settings and no key, and does nothing
-    struct session session;
-    struct session group; // of all devices of the machine
-    struct offer offer;
-    struct headway_clock clock;
-    struct sync sync;
-    uint32_t heard_count_us; // at which the host's last stamps arrived
-    struct neighbours neighbours;
-    struct marks marks;
-    struct track tracks[TRACK_COUNT];
+    bool power, brake;
+    bool trusted;           // encoder and servo, to ramp down by
+    bool status_waits;      // the last one has not left yet ...
+    uint32_t status_us;     // ... and does at this count
+    uint32_t stop_count_us; // count at the fault or emergency stop
+    uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
+    bool faults_unsaved;
+    int64_t status_knot;      // knot of the last status
+    int64_t accepted_knot;    // knot in which the last plan was accepted
+    int64_t start_knot;       // of the first plan
     struct setpoint setpoint; // of the last one: position, velocity and torque
+    struct headway_clock clock;
     struct servo servo;
     struct monitor monitor;
+    struct guard guard; // what judges beside all this
+    struct device_settings settings;
+    struct sync sync;
+    uint32_t heard_count_us; // at which the host's last stamps arrived
+    struct status status;
     struct ramp ramp;
     struct home home;
     struct history history;
-    struct fault_log faults;
-    bool faults_unsaved;
+    struct session session;
+    struct session group; // of all devices of the machine
+    struct offer offer;
+    struct neighbours neighbours;
+    struct marks marks;
     uint32_t boots;
-    uint32_t next_servo_us; // local count of the next servo period
-    uint32_t periods;
-    int64_t status_knot;   // knot of the last status
-    uint32_t reports;      // statuses so far
-    bool status_waits;     // the last one has not left yet ...
-    uint32_t status_us;    // ... and does at this count
-    int64_t accepted_knot; // knot in which the last plan was accepted
-    int64_t start_knot;    // of the first plan
-    int32_t encoder_count; // as the board has it
-    int32_t offset_count;  // what it lacks to the axis' position
-    int32_t position_pq;   // measured
-    int32_t hold_pq, hold_tq;
-    bool power, brake;
-    uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
-    bool trusted;           // encoder and servo, to ramp down by
-    uint32_t stop_count_us; // count at the fault or emergency stop
-    struct guard guard;     // what judges beside all this
-    struct status status;
+    uint32_t reports; // statuses so far
+    struct fault_log faults;
+    struct track tracks[TRACK_COUNT];
     struct plan plan; // the one being decoded
+    struct signals signals;
+    struct batch batch; // the one being decoded
 };
 
 // Begins anew from what the board remembers. Without good settings, or without a boot number that

@@ -13,49 +13,43 @@ enum source {
     SOURCE_TRACKS, // what the plans wrote
 };
 
-static struct scale gain(const struct track *track, int64_t time_us, int32_t shift,
-                         struct scale fixed) {
+static struct scale gain(const struct track *track, const struct instant *at, struct scale fixed) {
     if (!track->written)
         return fixed;
-    int32_t mantissa = track_evaluate(track, time_us, shift).value >> 8; // points are mantissa Q8
+    int32_t mantissa = track_value(track, at) >> 8; // points are mantissa Q8
     fixed.mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
     return fixed;
 }
 
-static struct setpoint from_tracks(const struct device *device, int64_t time_us) {
+static void from_tracks(const struct device *device, const struct instant *now,
+                        struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
+    const struct servo_settings *servo = &settings->servo;
     const struct track *tracks = device->tracks;
-    int32_t shift = settings->knot_shift;
     // The output holds for a whole period, so feed-forward is taken at the period's middle.
-    int64_t middle_us = time_us + settings->servo_period_us / 2;
-    struct setpoint setpoint = {
-        .position_pq = track_evaluate(&tracks[TRACK_POSITION], time_us, shift).value,
-        .velocity_pq = track_evaluate(&tracks[TRACK_POSITION], middle_us, shift).rate,
-        .torque_tq = track_evaluate(&tracks[TRACK_TORQUE], middle_us, shift).value,
-        .kp = gain(&tracks[TRACK_KP], time_us, shift, settings->servo.kp_tq),
-        .ki = gain(&tracks[TRACK_KI], time_us, shift, settings->servo.ki_tq),
-        .kd = gain(&tracks[TRACK_KD], time_us, shift, settings->servo.kd_tq),
-        .feedback_limit_tq = SERVO_FEEDBACK_FREE,
-        .integrate = settings->servo.integrate_running,
-    };
-    return setpoint;
+    struct instant middle = instant_after(now, settings->servo_period_us / 2, settings->knot_shift);
+    setpoint->position_pq = track_value(&tracks[TRACK_POSITION], now);
+    setpoint->velocity_pq = track_rate(&tracks[TRACK_POSITION], &middle);
+    setpoint->torque_tq = track_value(&tracks[TRACK_TORQUE], &middle);
+    setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
+    setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
+    setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+    setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
+    setpoint->integrate = servo->integrate_running;
 }
 
 // At a place of its own, with the settings' gains.
-static struct setpoint at(const struct device *device, int32_t position_pq, int32_t period_pq,
-                          int32_t torque_tq) {
+static void at(const struct device *device, int32_t position_pq, int32_t period_pq,
+               int32_t torque_tq, struct setpoint *setpoint) {
     const struct servo_settings *servo = &device->settings.servo;
-    struct setpoint setpoint = {
-        .position_pq = position_pq,
-        .velocity_pq = fixed_scale(period_pq, device->settings.knot_periods),
-        .torque_tq = torque_tq,
-        .kp = servo->kp_tq,
-        .ki = servo->ki_tq,
-        .kd = servo->kd_tq,
-        .feedback_limit_tq = SERVO_FEEDBACK_FREE,
-        .integrate = device->state == DEVICE_HOLD && !device->brake,
-    };
-    return setpoint;
+    setpoint->position_pq = position_pq;
+    setpoint->velocity_pq = fixed_scale(period_pq, device->settings.knot_periods);
+    setpoint->torque_tq = torque_tq;
+    setpoint->kp = servo->kp_tq;
+    setpoint->ki = servo->ki_tq;
+    setpoint->kd = servo->kd_tq;
+    setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
+    setpoint->integrate = device->state == DEVICE_HOLD && !device->brake;
 }
 
 static bool ramps(const struct device *device, uint32_t count_us) {
@@ -89,12 +83,16 @@ static enum source source_of(const struct device *device, uint32_t count_us) {
     return device->trusted ? SOURCE_HOLD : SOURCE_OPEN;
 }
 
+// When the brake has to let go for a first plan.
+static int64_t release_us(const struct device *device) {
+    const struct device_settings *settings = &device->settings;
+    return device->start_knot * (1 << settings->knot_shift) -
+           (int64_t)settings->brake_periods * settings->servo_period_us;
+}
+
 // Off while something may move. It lets go just before a first plan begins, so that till then the
 // axis is where it was; where a braked axis is told to stop, it stays.
-static bool brake_wanted(const struct device *device, int64_t time_us, enum source source) {
-    const struct device_settings *settings = &device->settings;
-    int64_t start_us = device->start_knot * (1 << settings->knot_shift) -
-                       (int64_t)settings->brake_periods * settings->servo_period_us;
+static bool brake_wanted(const struct device *device, enum source source) {
     switch (source) {
     case SOURCE_NONE:
     case SOURCE_OPEN:
@@ -104,7 +102,7 @@ static bool brake_wanted(const struct device *device, int64_t time_us, enum sour
     case SOURCE_RAMP:
         return device->brake;
     case SOURCE_TRACKS:
-        return device->brake && time_us < start_us;
+        return device->brake && device->clock.system_us < release_us(device);
     default:
         return false;
     }
@@ -124,7 +122,7 @@ static void set_brake(struct device *device, bool on) {
     device->status.released = settled && !on;
 }
 
-static struct setpoint run_task(struct device *device, struct board *board) {
+static void run_task(struct device *device, struct board *board, struct setpoint *setpoint) {
     struct home *home = &device->home;
     const struct home_settings *settings = &device->settings.home;
     struct home_marks marks = {.count = device->encoder_count,
@@ -151,18 +149,17 @@ static struct setpoint run_task(struct device *device, struct board *board) {
         home->task = TASK_NONE;
         monitor_begin(&device->monitor);
     }
-    struct setpoint setpoint = at(device, position_pq, velocity_pq, device->hold_tq);
-    setpoint.feedback_limit_tq = settings->torque_tq;
+    at(device, position_pq, velocity_pq, device->hold_tq, setpoint);
+    setpoint->feedback_limit_tq = settings->torque_tq;
     if (result == TASK_FAILED) {
         struct breach breach = {REASON_HOMING,
                                 fixed_difference(device->encoder_count, home->start_count),
                                 settings->way_counts};
         happen_breach(device, breach, board_count_us(board));
     }
-    return setpoint;
 }
 
-static struct setpoint run_ramp(struct device *device) {
+static void run_ramp(struct device *device, struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
     struct ramp *ramp = &device->ramp;
     if (ramp->begun)
@@ -171,24 +168,24 @@ static struct setpoint run_ramp(struct device *device) {
         ramp_start(ramp, device->position_pq, monitor_speed_pq(&device->monitor),
                    device->setpoint.torque_tq, device->hold_tq);
     device->hold_pq = ramp_position_pq(ramp);
-    return at(device, device->hold_pq, ramp_velocity_pq(ramp), ramp->torque_tq);
+    at(device, device->hold_pq, ramp_velocity_pq(ramp), ramp->torque_tq, setpoint);
 }
 
-static struct setpoint setpoint_of(struct device *device, struct board *board, int64_t time_us,
-                                   enum source source) {
-    if (source == SOURCE_TRACKS)
-        return from_tracks(device, time_us);
-    if (source == SOURCE_RAMP)
-        return run_ramp(device);
-    if (source == SOURCE_TASK)
-        return run_task(device, board);
-    struct setpoint setpoint = at(device, device->hold_pq, 0, device->hold_tq);
-    if (source ==
-        SOURCE_OPEN) { // nothing of what the encoder says: no speed for the back-EMF either
-        memset(&device->servo, 0, sizeof device->servo);
-        setpoint.feedback_limit_tq = 0;
+static void find_setpoint(struct device *device, struct board *board, const struct instant *now,
+                          enum source source, struct setpoint *setpoint) {
+    if (source == SOURCE_TRACKS) {
+        from_tracks(device, now, setpoint);
+    } else if (source == SOURCE_RAMP) {
+        run_ramp(device, setpoint);
+    } else if (source == SOURCE_TASK) {
+        run_task(device, board, setpoint);
+    } else {
+        at(device, device->hold_pq, 0, device->hold_tq, setpoint);
+        if (source == SOURCE_OPEN) { // nothing of what the encoder says: no speed for the back-EMF
+            memset(&device->servo, 0, sizeof device->servo);
+            setpoint->feedback_limit_tq = 0;
+        }
     }
-    return setpoint;
 }
 
 static void note_torque(struct status *status, const struct servo *servo) {
@@ -199,11 +196,13 @@ static void note_torque(struct status *status, const struct servo *servo) {
         status->torque_clipped++;
 }
 
-void drive(struct device *device, struct board *board, int64_t time_us, uint32_t count_us) {
+void drive(struct device *device, struct board *board, const struct instant *now,
+           uint32_t count_us) {
     enum source source = source_of(device, count_us);
-    set_brake(device, brake_wanted(device, time_us, source));
+    set_brake(device, brake_wanted(device, source));
     if (device->power && source != SOURCE_NONE) {
-        struct setpoint setpoint = setpoint_of(device, board, time_us, source);
+        struct setpoint setpoint;
+        find_setpoint(device, board, now, source, &setpoint);
         int32_t duty =
             servo_step(&device->settings.servo, &device->servo, &setpoint, device->position_pq);
         // Not as a whole: between its fields a struct has bytes that nobody has set, and a device's

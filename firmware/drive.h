@@ -4,6 +4,7 @@
 
 #include "device.h"
 
-void drive(struct device *device, struct board *board, int64_t time_us, uint32_t count_us);
+void drive(struct device *device, struct board *board, const struct instant *now,
+           uint32_t count_us);
 
 #endif

@@ -36,6 +36,13 @@ static inline void field_i32(struct fields *f, int32_t *value) {
     *value = (int32_t)(uint32_t)field(f, (uint32_t)*value, 4);
 }
 
+static inline void field_varint(struct fields *f, int64_t *value) {
+    if (f->reading)
+        *value = read_varint(&f->in);
+    else
+        write_varint(&f->out, *value);
+}
+
 static inline void field_bool(struct fields *f, bool *value) {
     uint64_t number = field(f, !f->reading && *value, 1); // what is read over may be no bool yet
     f->failed |= number > 1;

@@ -38,6 +38,19 @@ static inline int32_t fixed_mul_q16(int32_t a, uint16_t b) {
     return high + (int32_t)(low >> 16);
 }
 
+// a * b, exact. The core's own multiplications have 32 bits; of one with 64 the compiler makes a call.
+static inline int64_t fixed_mul_u16(int32_t a, uint16_t b) {
+    int32_t high = (a >> 16) * (int32_t)b;
+    uint32_t low = ((uint32_t)a & 0xffffu) * b;
+    return (int64_t)high * (1 << 16) + low;
+}
+
+static inline uint64_t fixed_mul_u32(uint32_t a, uint32_t b) {
+    uint32_t a0 = a & 0xffffu, a1 = a >> 16, b0 = b & 0xffffu, b1 = b >> 16;
+    return ((uint64_t)(a1 * b1) << 32) + ((uint64_t)(a0 * b1) << 16) + ((uint64_t)(a1 * b0) << 16) +
+           a0 * b0;
+}
+
 // a * scale, rounded down. Saturates to +-INT32_MAX, from 2^(16 - shift) before the ends on.
 static inline int32_t fixed_scale(int32_t a, struct scale scale) {
     int32_t high = (a >> 16) * (int32_t)scale.mantissa;

@@ -34,6 +34,9 @@ enum frame_type {
     FRAME_SETTINGS,       // from the host: new ones, or none to ask; from the device: its own
     FRAME_STAMP_REQUEST,  // between neighbours, see peer.h
     FRAME_STAMP_RESPONSE, //
+    FRAME_SIGNALS,        // pieces for tracks, see batch.h
+    FRAME_LOGIC,          // what to do with them, see logic.h
+    FRAME_READINGS,       // what was sampled, see report.h
 };
 enum frame_error {
     FRAME_OK,

@@ -30,9 +30,11 @@ static int32_t larger(int32_t a, int32_t b) { return a > b ? a : b; }
 // d^2 <= 2 a (limit - farthest point) for the four points of a span, towards one end: its speed is
 // at most its largest difference in that direction, its position within its points.
 static bool span_has_room(int32_t a, int32_t b, int32_t c, int32_t d, int32_t limit, int32_t stop) {
-    int64_t fastest = larger(larger(b - a, c - b), larger(d - c, 0));
-    int64_t room = (int64_t)limit - larger(larger(a, b), larger(c, d));
-    return fastest * fastest <= 2 * room * stop;
+    uint32_t fastest = (uint32_t)larger(larger(b - a, c - b), larger(d - c, 0));
+    int32_t farthest = larger(larger(a, b), larger(c, d));
+    uint32_t room = (uint32_t)limit - (uint32_t)farthest;
+    return farthest <= limit &&
+           fixed_mul_u32(fastest, fastest) <= 2 * fixed_mul_u32(room, (uint32_t)stop);
 }
 
 // Towards both ends, for the span that a new point completes.

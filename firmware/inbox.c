@@ -145,6 +145,7 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
     const uint8_t *payload = frame + FRAME_HEADER_BYTES;
     struct stamps stamps;
     struct command command;
+    struct logic logic;
     switch (frame[1]) {
     case FRAME_SYNC:
         if (!sync_decode(payload, size, &stamps))
@@ -165,6 +166,16 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
         obey(device, board, &command);
         if (command.kind == COMMAND_FAULTS) // also again: the answer may have been lost
             outbox_faults(device, board);
+        return true;
+    case FRAME_SIGNALS:
+        if (!batch_decode(payload, size, &device->batch))
+            return false;
+        signals_take(&device->signals, &device->batch, clock_at(&device->clock, count_us));
+        return true;
+    case FRAME_LOGIC:
+        if (!logic_decode(payload, size, &logic))
+            return false;
+        signals_rule(&device->signals, &logic);
         return true;
     case FRAME_GROUP:
         return group_decode(&device->session, frame, size, &device->group);
@@ -196,8 +207,8 @@ static bool take_group_frame(struct device *device, const struct board *board, c
 }
 
 // The clock's sample is as old as the packet's arrival; what is live is judged now.
-void inbox_take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                int32_t port, uint32_t arrived_us, uint32_t count_us) {
+static void take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
+                 int32_t port, uint32_t arrived_us, uint32_t count_us) {
     size = cobs_decode(packet, size);
     if (port != BOARD_HOST) {
         if (!neighbours_take(device, board, packet, size, port, arrived_us, count_us))
@@ -217,4 +228,12 @@ void inbox_take(struct device *device, struct board *board, uint8_t *packet, int
         taken = take_group_frame(device, board, packet, payload_size, arrived_us, count_us);
     if (!taken)
         device->status.counters.frames_bad++;
+}
+
+void inbox_empty(struct device *device, struct board *board) {
+    uint8_t packet[COBS_BOUND(FRAME_MAX)]; // decoded in place
+    uint32_t arrived_us;
+    int32_t size, port;
+    while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
+        take(device, board, packet, size, port, arrived_us, board_count_us(board));
 }

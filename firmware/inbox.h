@@ -4,8 +4,7 @@
 
 #include "device.h"
 
-// Takes a packet that arrived at a count; `count_us` is now. The packet is decoded in place.
-void inbox_take(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                int32_t port, uint32_t arrived_us, uint32_t count_us);
+// Takes all that has arrived.
+void inbox_empty(struct device *device, struct board *board);
 
 #endif

@@ -527,10 +527,10 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
     size_t n = times_us.shape(0);
     std::vector<int32_t> value(n), rate(n), curve(n);
     for (size_t i = 0; i < n; i++) {
-        track_value v = track_evaluate(&t, times_us.data()[i], knot_shift);
-        value[i] = v.value;
-        rate[i] = v.rate;
-        curve[i] = v.curve;
+        instant at = instant_at(times_us.data()[i], knot_shift);
+        value[i] = track_value(&t, &at);
+        rate[i] = track_rate(&t, &at);
+        curve[i] = track_curve(&t, &at);
     }
     return nb::make_tuple(array(std::move(value), {n}), array(std::move(rate), {n}),
                           array(std::move(curve), {n}));
@@ -547,13 +547,14 @@ static void evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_s
     for (const Table *table : {&values, rates ? &*rates : &values})
         if (table->shape(0) != m || table->shape(1) != k)
             throw std::invalid_argument("a table has a row a time and a column a track");
-    for (size_t i = 0; i < m; i++)
+    for (size_t i = 0; i < m; i++) {
+        instant at = instant_at(times_us.data()[i], knot_shift);
         for (size_t j = 0; j < k; j++) {
-            track_value v = track_evaluate(tracks[j], times_us.data()[i], knot_shift);
-            values(i, j) = v.value;
+            values(i, j) = track_value(tracks[j], &at);
             if (rates)
-                (*rates)(i, j) = v.rate;
+                (*rates)(i, j) = track_rate(tracks[j], &at);
         }
+    }
 }
 
 // Of several tracks, a row each.
@@ -813,7 +814,10 @@ static void name_numbers(nb::module_ &m) {
     m.attr("HOME_METHODS") = Names{"none", "index", "switch", "stop"};
 }
 
+void bind_signals(nb::module_ &m); // module_signals.cpp
+
 NB_MODULE(_core, m) {
+    bind_signals(m);
     m.attr("FRAME_SYNC") = (int)FRAME_SYNC;
     m.attr("FRAME_PLAN") = (int)FRAME_PLAN;
     m.attr("FRAME_STATUS") = (int)FRAME_STATUS;

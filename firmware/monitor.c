@@ -14,30 +14,34 @@ void monitor_begin(struct monitor *monitor) {
     monitor->still_periods = 0;
 }
 
-static struct breach found(enum fault_reason reason, int32_t value, int32_t limit) {
-    struct breach breach = {reason, value, limit};
-    return breach;
+// Of two that one period found: the one with the sterner response, else the first. Apart, and called:
+// what hardly ever happens is not to make way for what always does.
+static __attribute__((noinline)) void found(struct breach *worst, enum fault_reason reason,
+                                            int32_t value, int32_t limit) {
+    if (worst->reason != REASON_NONE && fault_response(reason) <= fault_response(worst->reason))
+        return;
+    worst->reason = reason;
+    worst->value = value;
+    worst->limit = limit;
 }
 
-static const struct breach none = {REASON_NONE, 0, 0};
-
 // The encoder's counts: a jump is lost pulses or a broken wire.
-static struct breach watch_count(const struct monitor_settings *settings, struct monitor *monitor,
-                                 int32_t count) {
+static void watch_count(const struct monitor_settings *settings, struct monitor *monitor,
+                        int32_t count, struct breach *worst) {
     int32_t change = monitor->primed ? fixed_difference(count, monitor->count) : 0;
     monitor->primed = true;
     monitor->count = count;
     if (change > settings->spike_counts || change < -settings->spike_counts)
-        return found(REASON_SPIKE, change, settings->spike_counts);
-    monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
-    return none;
+        found(worst, REASON_SPIKE, change, settings->spike_counts);
+    else
+        monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
 }
 
 // Pushed on hard, or led on by its setpoint, an axis moves: an encoder that shows nothing is stuck.
 // What counts is how the push has changed since the last count: at rest a heavy load is held by any
 // torque for as long as it takes, and a homing stop is there to be pushed against.
-static struct breach watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
-                                 const struct observation *seen, bool moved) {
+static void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
+                        const struct observation *seen, bool moved, struct breach *worst) {
     if (moved || !monitor->begun || seen->seeks_stop) {
         monitor->still_pq = seen->setpoint_pq;
         monitor->still_tq = seen->feedback_tq;
@@ -45,79 +49,85 @@ static struct breach watch_stuck(const struct monitor_settings *settings, struct
     }
     monitor->begun = true;
     int32_t way_pq = fixed_difference(seen->setpoint_pq, monitor->still_pq);
-    if (way_pq > settings->stuck_pq || way_pq < -settings->stuck_pq)
-        return found(REASON_STUCK, way_pq, settings->stuck_pq);
+    if (way_pq > settings->stuck_pq || way_pq < -settings->stuck_pq) {
+        found(worst, REASON_STUCK, way_pq, settings->stuck_pq);
+        return;
+    }
     int32_t push_tq =
         fixed_clamp(seen->feedback_tq, 1 << 28) - fixed_clamp(monitor->still_tq, 1 << 28);
     bool pushed = magnitude(push_tq) >= seen->torque_limit_tq / 2;
     monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
     if (monitor->still_periods > settings->stuck_periods)
-        return found(REASON_STUCK, (int32_t)monitor->still_periods,
-                     (int32_t)settings->stuck_periods);
-    return none;
+        found(worst, REASON_STUCK, (int32_t)monitor->still_periods,
+              (int32_t)settings->stuck_periods);
 }
 
 // The chopper works whether the bridge is on or not: the bridge's capacitor may be full either way.
-static struct breach watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
-                                  int32_t supply_mV, bool power) {
+static void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
+                         int32_t supply_mV, bool power, struct breach *worst) {
     int32_t off_mV = settings->chopper_mV - (settings->chopper_mV >> MONITOR_CHOPPER_OFF_SHIFT);
     monitor->chopper = supply_mV > (monitor->chopper ? off_mV : settings->chopper_mV);
     monitor->under = power && supply_mV < settings->supply_min_mV ? monitor->under + 1 : 0;
     monitor->over = power && supply_mV > settings->supply_max_mV ? monitor->over + 1 : 0;
     if (monitor->under >= MONITOR_SUPPLY_PERIODS) {
         monitor->under = 0;
-        return found(REASON_UNDERVOLTAGE, supply_mV, settings->supply_min_mV);
-    }
-    if (monitor->over >= MONITOR_SUPPLY_PERIODS) {
+        found(worst, REASON_UNDERVOLTAGE, supply_mV, settings->supply_min_mV);
+    } else if (monitor->over >= MONITOR_SUPPLY_PERIODS) {
         monitor->over = 0;
-        return found(REASON_OVERVOLTAGE, supply_mV, settings->supply_max_mV);
+        found(worst, REASON_OVERVOLTAGE, supply_mV, settings->supply_max_mV);
     }
-    return none;
+}
+
+// The winding's temperature as a first-order lag of the copper loss.
+static __attribute__((noinline)) void warm(const struct monitor_settings *settings,
+                                           struct monitor *monitor) {
+    int32_t mean_q16 = (int32_t)(monitor->heat / MONITOR_HEAT_PERIODS);
+    int64_t change_q32 = fixed_mul_u16(mean_q16 - monitor->rise_q16, settings->heating_q16) +
+                         monitor->rise_fraction; // kept: else a slow winding would stay cold
+    monitor->rise_q16 += (int32_t)(change_q32 >> 16);
+    monitor->rise_fraction = (uint16_t)change_q32;
+    monitor->heat = 0;
+    monitor->heat_periods = 0;
 }
 
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
-// winding's temperature as a first-order lag of the copper loss for minutes.
-static struct breach watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                                int32_t torque_tq) {
+// winding's temperature for minutes.
+static void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
+                       int32_t torque_tq, struct breach *worst) {
     int32_t load_q8 = fixed_clamp(fixed_scale(magnitude(torque_tq), settings->load_q8), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
     monitor->overload += loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8;
     if (monitor->overload < 0)
         monitor->overload = 0;
     monitor->heat += loss_q16;
-    if (++monitor->heat_periods == MONITOR_HEAT_PERIODS) {
-        int32_t mean_q16 = (int32_t)(monitor->heat / MONITOR_HEAT_PERIODS);
-        int64_t change_q32 = (int64_t)(mean_q16 - monitor->rise_q16) * settings->heating_q16 +
-                             monitor->rise_fraction; // kept: else a slow winding would stay cold
-        monitor->rise_q16 += (int32_t)(change_q32 >> 16);
-        monitor->rise_fraction = (uint16_t)change_q32;
-        monitor->heat = 0;
-        monitor->heat_periods = 0;
-    }
+    if (++monitor->heat_periods == MONITOR_HEAT_PERIODS)
+        warm(settings, monitor);
     if (monitor->overload >> 16 > (int64_t)settings->overload)
-        return found(REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
-    if (monitor->rise_q16 > settings->rise_q16)
-        return found(REASON_WINDING, monitor->rise_q16, settings->rise_q16);
-    return none;
+        found(worst, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
+    else if (monitor->rise_q16 > settings->rise_q16)
+        found(worst, REASON_WINDING, monitor->rise_q16, settings->rise_q16);
 }
 
 // v^2 / 2 <= a (limit - position) in the direction of motion: these two products need 64 bits. Past
 // the limit a ramp that began where the axis was found would follow it out, again and again: there
-// only the brake ends it.
-static struct breach watch_room(const struct monitor_settings *settings,
-                                const struct monitor *monitor, const struct observation *seen) {
-    if (!settings->bounded || !seen->bounded)
-        return none;
-    int32_t speed = fixed_clamp(monitor_speed_pq(monitor), 1 << 22);
-    int32_t limit = speed > 0 ? settings->high_pq : settings->low_pq;
-    int64_t room = speed > 0 ? (int64_t)settings->high_pq - seen->position_pq
-                             : (int64_t)seen->position_pq - settings->low_pq;
-    int64_t energy_q16 = (int64_t)speed * speed * (1 << 15); // v^2 / 2
-    if (room < 0)
-        return found(REASON_OUTSIDE, seen->position_pq, limit);
-    if (energy_q16 > room * settings->deceleration_q16)
-        return found(REASON_ROOM, seen->position_pq, limit);
-    return none;
+// only the brake ends it. False if there is no room.
+static bool watch_room(const struct monitor_settings *settings, int32_t speed, int32_t position_pq,
+                       struct breach *worst) {
+    bool up = speed > 0;
+    int32_t limit = up ? settings->high_pq : settings->low_pq;
+    uint32_t pace = (uint32_t)fixed_clamp(magnitude(speed), 1 << 22);
+    uint32_t room =
+        up ? (uint32_t)limit - (uint32_t)position_pq : (uint32_t)position_pq - (uint32_t)limit;
+    if (up ? position_pq > limit : position_pq < limit) {
+        found(worst, REASON_OUTSIDE, position_pq, limit);
+        return false;
+    }
+    uint64_t energy_q16 = fixed_mul_u32(pace, pace) << 15; // v^2 / 2
+    if (energy_q16 > fixed_mul_u32(room, (uint32_t)settings->deceleration_q16)) {
+        found(worst, REASON_ROOM, position_pq, limit);
+        return false;
+    }
+    return true;
 }
 
 // The torque of a loop whose encoder counts backwards makes its own error grow: the axis moves away
@@ -134,50 +144,46 @@ bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq
            (position_pq >= settings->low_pq && position_pq <= settings->high_pq);
 }
 
-static struct breach watch_motion(const struct monitor_settings *settings, struct monitor *monitor,
-                                  const struct observation *seen) {
+static void watch_motion(const struct monitor_settings *settings, struct monitor *monitor,
+                         const struct observation *seen, struct breach *worst) {
     int32_t speed = monitor_speed_pq(monitor);
-    if (speed > settings->speed_pq || speed < -settings->speed_pq)
-        return found(REASON_SPEED, speed, settings->speed_pq);
-    struct breach breach = watch_room(settings, monitor, seen);
-    if (breach.reason != REASON_NONE)
-        return breach;
+    if (speed > settings->speed_pq || speed < -settings->speed_pq) {
+        found(worst, REASON_SPEED, speed, settings->speed_pq);
+        return;
+    }
+    if (settings->bounded && seen->bounded &&
+        !watch_room(settings, speed, seen->position_pq, worst))
+        return;
     bool behind = magnitude(seen->error_pq) > settings->following_pq;
     monitor->following = behind ? monitor->following + 1 : 0;
-    if (monitor->following > settings->following_periods)
-        return found(why_behind(seen, speed), seen->error_pq, settings->following_pq);
-    monitor->torque = seen->clipped ? monitor->torque + 1 : 0;
-    if (monitor->torque > settings->torque_periods)
-        return found(REASON_TORQUE, (int32_t)monitor->torque, (int32_t)settings->torque_periods);
-    return none;
+    if (monitor->following > settings->following_periods) {
+        found(worst, why_behind(seen, speed), seen->error_pq, settings->following_pq);
+    } else {
+        monitor->torque = seen->clipped ? monitor->torque + 1 : 0;
+        if (monitor->torque > settings->torque_periods)
+            found(worst, REASON_TORQUE, (int32_t)monitor->torque,
+                  (int32_t)settings->torque_periods);
+    }
 }
 
-static struct breach watch_late(const struct monitor_settings *settings,
-                                const struct observation *seen) {
-    if (!seen->power || seen->late_us <= settings->late_us)
-        return none;
-    return found(REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
-}
-
-// Of two that one period found: the one with the sterner response, else the first. None is the least.
-static struct breach worse(struct breach first, struct breach second) {
-    if (first.reason == REASON_NONE || fault_response(second.reason) > fault_response(first.reason))
-        return second;
-    return first;
+static void watch_late(const struct monitor_settings *settings, const struct observation *seen,
+                       struct breach *worst) {
+    if (seen->power && seen->late_us > settings->late_us)
+        found(worst, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
 struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
                            const struct observation *seen) {
+    struct breach worst = {REASON_NONE, 0, 0};
     bool moved = monitor->primed && seen->count != monitor->count;
     // First: a period that comes late finds the encoder far away, and that is no jump.
-    struct breach worst = watch_late(settings, seen);
-    // One by one: in an initializer their order, and with it the speed they see, would be open.
-    worst = worse(worst, watch_count(settings, monitor, seen->count));
+    watch_late(settings, seen, &worst);
+    watch_count(settings, monitor, seen->count, &worst);
     if (seen->driven)
-        worst = worse(worst, watch_stuck(settings, monitor, seen, moved));
-    worst = worse(worst, watch_supply(settings, monitor, seen->supply_mV, seen->power));
-    worst = worse(worst, watch_heat(settings, monitor, seen->torque_tq));
+        watch_stuck(settings, monitor, seen, moved, &worst);
+    watch_supply(settings, monitor, seen->supply_mV, seen->power, &worst);
+    watch_heat(settings, monitor, seen->torque_tq, &worst);
     if (seen->driven)
-        worst = worse(worst, watch_motion(settings, monitor, seen));
+        watch_motion(settings, monitor, seen, &worst);
     return worst;
 }

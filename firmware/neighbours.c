@@ -92,8 +92,6 @@ void neighbours_flush(struct device *device) {
 }
 
 void neighbours_speak(struct device *device, struct board *board) {
-    if (device->settings.neighbours == 0)
-        return;
     ask(device, board);
     for (int32_t port = BOARD_HOST + 1; port < BOARD_PORTS; port++)
         answer(device, board, port);

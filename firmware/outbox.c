@@ -32,6 +32,14 @@ void outbox_status(struct device *device, struct board *board, uint32_t count_us
     status->torque_peak_tq = 0;
 }
 
+void outbox_readings(struct device *device, struct board *board) {
+    uint8_t frame[FRAME_MAX];
+    struct report report;
+    signals_report(&device->signals, &report);
+    outbox_send(device, board, FRAME_READINGS, frame,
+                report_encode(&report, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX));
+}
+
 void outbox_faults(struct device *device, struct board *board) {
     uint8_t frame[FRAME_MAX];
     outbox_send(device, board, FRAME_FAULTS, frame,

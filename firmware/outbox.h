@@ -10,6 +10,7 @@ void outbox_send(struct device *device, struct board *board, enum frame_type typ
                  uint8_t frame[FRAME_MAX], int32_t payload_size);
 
 void outbox_status(struct device *device, struct board *board, uint32_t count_us);
+void outbox_readings(struct device *device, struct board *board);
 void outbox_faults(struct device *device, struct board *board);
 void outbox_settings(struct device *device, struct board *board); // without the key
 

@@ -184,10 +184,20 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
     return true;
 }
 
+// Rounded down. Whole microseconds and what is below them apart: no product needs 64 bits.
 static int32_t nanoseconds(int64_t offset_q16) {
     if (offset_q16 >= 1LL << 36 || offset_q16 <= -(1LL << 36))
         return offset_q16 > 0 ? SYNC_ERROR_OPEN : -SYNC_ERROR_OPEN;
-    return fixed_clamp64((offset_q16 * 1000) >> 16, SYNC_ERROR_OPEN);
+    uint32_t below_q16 = (uint16_t)offset_q16;
+    return (int32_t)(offset_q16 >> 16) * 1000 + (int32_t)((below_q16 * 1000) >> 16);
+}
+
+// What a steering that has lasted says of the oscillator's skew, rounded down.
+static int32_t learnt_q32(int32_t steer_q32, int64_t elapsed_us, bool early) {
+    int64_t product = elapsed_us >= 0 && elapsed_us <= UINT16_MAX
+                          ? fixed_mul_u16(steer_q32, (uint16_t)elapsed_us)
+                          : steer_q32 * elapsed_us;
+    return (int32_t)(early ? product >> SKEW_SHIFT_FIRST : product >> SKEW_SHIFT);
 }
 
 static void set_rate(struct sync *sync, const struct sync_settings *settings,
@@ -205,8 +215,7 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
     if (!sync->settled)
         sync->skew_q32 = bounds_skew_q32(&sync->bounds);
     else if (steer_q32 < STEER_MAX_Q32 && steer_q32 > -STEER_MAX_Q32)
-        sync->skew_q32 +=
-            (int32_t)((steer_q32 * elapsed_us) >> (early ? SKEW_SHIFT_FIRST : SKEW_SHIFT));
+        sync->skew_q32 += learnt_q32(steer_q32, elapsed_us, early);
     sync->skew_q32 = bounds_nearest_skew_q32(&sync->bounds, sync->skew_q32);
     sync->steered_us = clock->ticks_us;
     clock->rate_q32 = fixed_clamp(sync->skew_q32 + steer_q32, CLOCK_RATE_MAX_Q32);
@@ -250,6 +259,11 @@ static bool doubts_all(const struct sync *sync) {
     return sync->heard != 0;
 }
 
+static int32_t worst_ns(const struct sync *sync) {
+    int32_t least = -sync->least_error_ns, most = sync->most_error_ns;
+    return least > most ? least : most;
+}
+
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step) {
     struct bounds_limits limits = limits_of(settings);
@@ -273,14 +287,13 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
         sync->least_error_ns = -SYNC_ERROR_OPEN;
         sync->most_error_ns = SYNC_ERROR_OPEN;
     }
-    if (sync_error_us(sync) > (int32_t)settings->limit_us)
+    if (worst_ns(sync) > (int32_t)settings->limit_us * 1000) // one second at most
         sync->wide_us = clock->ticks_us;
     sync->settled = clock->ticks_us - sync->wide_us >= SYNC_SETTLE_US;
     return steps;
 }
 
 int32_t sync_error_us(const struct sync *sync) {
-    int32_t least = -sync->least_error_ns, most = sync->most_error_ns;
-    int32_t worst = least > most ? least : most;
+    int32_t worst = worst_ns(sync);
     return worst == SYNC_ERROR_OPEN ? SYNC_ERROR_OPEN : worst / 1000 + (worst % 1000 != 0);
 }

@@ -18,19 +18,38 @@ struct track {
     int32_t points[TRACK_POINTS];
 };
 
-struct track_value {
-    int32_t value; // in the track's quantum
-    int32_t rate;  // quantum per knot interval
-    int32_t curve; // quantum per knot interval squared
+// A time on the grid: the knot whose interval it is in, and how far in, in 1/65536 of it.
+struct instant {
+    int64_t knot;
+    uint16_t phase;
 };
+
+// `knot_shift` is 9 .. 15. No shift or sum of 64 bits: on a small core that is many.
+static inline struct instant instant_at(int64_t time_us, int32_t knot_shift) {
+    uint32_t low = (uint32_t)time_us, high = (uint32_t)((uint64_t)time_us >> 32);
+    uint32_t knot = low >> knot_shift | high << (32 - knot_shift);
+    uint32_t above = (uint32_t)((int32_t)high >> knot_shift);
+    return (struct instant){(int64_t)((uint64_t)above << 32 | knot),
+                            (uint16_t)(low << (16 - knot_shift))};
+}
+
+// Later by less than 2^16 us.
+static inline struct instant instant_after(const struct instant *at, uint32_t later_us,
+                                           int32_t knot_shift) {
+    uint32_t phase = at->phase + (later_us << (16 - knot_shift));
+    return (struct instant){at->knot + (phase >> 16), (uint16_t)phase};
+}
 
 int32_t track_point(const struct track *track, int64_t knot);
 void track_write(struct track *track, int64_t first_knot, const int32_t *points, int32_t count);
 
-// Value and derivatives at a system time, for points whose differences stay below 2^26. All are
-// rounded down: by less than 6 quanta the value (by less than 1 at a knot), by less than 2.5 the
-// rate, by less than 1 the curve. The value is off besides by the curve's 2^-19.6: 1/3 of a quantum
-// for second differences of 2^18, 85 at the most. At rest all three are exact.
-struct track_value track_evaluate(const struct track *track, int64_t time_us, int32_t knot_shift);
+// Value, rate [quantum per knot interval] and curve [quantum per its square] at an instant,
+// for points whose differences stay below 2^26. All are rounded down: by less than 6 quanta
+// the value (by less than 1 at a knot), by less than 2.5 the rate, by less than 1 the curve. The value
+// is off besides by the curve's 2^-19.6: 1/3 of a quantum for second differences of 2^18, 85 at the
+// most. At rest all three are exact.
+int32_t track_value(const struct track *track, const struct instant *at);
+int32_t track_rate(const struct track *track, const struct instant *at);
+int32_t track_curve(const struct track *track, const struct instant *at);
 
 #endif

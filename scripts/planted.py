@@ -49,9 +49,9 @@ class Bug:
 BUGS = (
     Bug(
         "a knot off by one",
-        "firmware/track.c",
-        "int64_t knot = time_us >> knot_shift;",
-        "int64_t knot = (time_us >> knot_shift) + 1;",
+        "firmware/track.h",
+        "uint32_t knot = low >> knot_shift | high << (32 - knot_shift);",
+        "uint32_t knot = (low >> knot_shift | high << (32 - knot_shift)) + 1;",
         "tests/test_track_spline.py::test_dense_random_splines",
     ),
     Bug(

@@ -145,6 +145,13 @@ class Node:
     switch_to: int
     switch_every: int
     random: int
+    digital_in: int
+    @property
+    def pwm_q15(self) -> list[int]: ...
+    @property
+    def flips(self) -> list[tuple[int, int, bool]]:
+        """The last changes of digital outputs: true time, output, on."""
+
     @property
     def dropped(self) -> int: ...
     @property

@@ -57,6 +57,20 @@ void board_set_brake(struct board *board, bool engaged) {
     board->brake = engaged;
 }
 
+// A count to come is a timer's, which changes the output by itself. It is so near that the counter's
+// drift until then is far below a microsecond.
+void board_set_digital(struct board *board, int32_t output, bool on, uint32_t count_us) {
+    int32_t ahead_us = (int32_t)(count_us - board_count_us(board));
+    int64_t time_us = board->true_us + (ahead_us > 0 ? ahead_us : 0);
+    board->flip[board->flips++ % BOARD_FLIPS] = (struct flip){time_us, output, on};
+}
+
+void board_set_pwm(struct board *board, int32_t output, int32_t duty_q15) {
+    board->pwm_q15[output] = duty_q15;
+}
+
+uint8_t board_digital_inputs(const struct board *board) { return board->digital_in; }
+
 bool board_stop_line(const struct board *board) { return board->stop_line; }
 
 bool board_home_switch(const struct board *board) { return board->home_switch; }

@@ -10,6 +10,7 @@
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
 #define BOARD_OUTBOX 8
+#define BOARD_FLIPS 64
 
 struct parcel {
     int64_t time_us; // arrival or departure, true time
@@ -31,6 +32,12 @@ struct encoder_fault {
     int64_t since_us;
     int32_t at_count; // when it set in
     int32_t begun;
+};
+
+// A change of a digital output.
+struct flip {
+    int64_t time_us; // true time
+    int32_t output, on;
 };
 
 // Starts of the frames of the bus that the board is at (sim/bus.py).
@@ -72,7 +79,11 @@ struct board {
     int32_t indexed;     // an index pulse waits to be read
     int32_t index_count;
     struct encoder_fault encoder_fault;
-    int32_t hung; // the main loop: only interrupts run
+    int32_t hung;       // the main loop: only interrupts run
+    uint8_t digital_in; // bit i: input i is on
+    int32_t pwm_q15[BOARD_PWM];
+    uint32_t flips; // changes of digital outputs, ever; the ring holds the last BOARD_FLIPS
+    struct flip flip[BOARD_FLIPS];
     uint64_t random;
     uint32_t dropped; // packets that found the inbox or outbox full
     struct memory memory[RECORDS];

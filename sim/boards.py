@@ -8,7 +8,7 @@ knot.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +67,8 @@ class Host:
 
     def packets(self, now_us: int) -> list[bytes]:
         """What leaves now."""
-        return self.remote.stamp_packets(now_us + self.epoch_us)
+        host_us = now_us + self.epoch_us
+        return self.remote.stamp_packets(host_us) + self.remote.signal_packets(host_us)
 
 
 class Boards:
@@ -105,6 +106,8 @@ class Boards:
         }
         self._period_us = [each.servo_period_us for each in settings]
         self._next_count = [counter.count_at(0) for counter in self._counters]
+        # What a board's encoder shows at a true time; else 0.
+        self.encoders: dict[int, Callable[[int], int]] = {}
         self._cut = False
         # What comes next: (time, running number, board, its port or what it is, packet).
         self._events: list[tuple[int, int, int, int, bytes]] = []
@@ -152,7 +155,8 @@ class Boards:
             self._plan_period(board, now_us)
         elif what != POLL:
             self.nodes[board].deliver(now_us, packet, what)
-        self.nodes[board].poll(now_us, 0)
+        encoder = self.encoders.get(board)
+        self.nodes[board].poll(now_us, encoder(now_us) if encoder else 0)
         self._collect(board)
 
     def _send_from(self, host: Host, now_us: int) -> None:

@@ -150,9 +150,10 @@ static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) 
     if (n->device.state != DEVICE_RUNNING && n->device.state != DEVICE_COAST)
         return {last.position_pq, last.velocity_pq, last.torque_tq};
     int32_t shift = n->device.settings.knot_shift;
-    track_value position = track_evaluate(&n->device.tracks[TRACK_POSITION], time_us, shift);
-    track_value torque = track_evaluate(&n->device.tracks[TRACK_TORQUE], time_us, shift);
-    return {position.value, position.rate, torque.value};
+    const struct track *position = &n->device.tracks[TRACK_POSITION];
+    const struct track *torque = &n->device.tracks[TRACK_TORQUE];
+    instant at = instant_at(time_us, shift);
+    return {track_value(position, &at), track_rate(position, &at), track_value(torque, &at)};
 }
 
 NB_MODULE(_board, m) {
@@ -271,6 +272,25 @@ NB_MODULE(_board, m) {
         .def_prop_rw(
             "random", [](Node &n) { return n->board.random; },
             [](Node &n, uint64_t value) { n->board.random = value; })
+        .def_prop_rw(
+            "digital_in", [](Node &n) { return (int)n->board.digital_in; },
+            [](Node &n, uint8_t value) { n->board.digital_in = value; })
+        .def_prop_ro("pwm_q15",
+                     [](Node &n) {
+                         return std::vector<int32_t>(n->board.pwm_q15,
+                                                     n->board.pwm_q15 + BOARD_PWM);
+                     })
+        .def_prop_ro("flips",
+                     [](Node &n) {
+                         std::vector<std::tuple<int64_t, int32_t, bool>> found;
+                         uint32_t all = n->board.flips;
+                         for (uint32_t i = all > BOARD_FLIPS ? all - BOARD_FLIPS : 0; i < all;
+                              i++) {
+                             const flip &f = n->board.flip[i % BOARD_FLIPS];
+                             found.emplace_back(f.time_us, f.output, f.on != 0);
+                         }
+                         return found;
+                     })
         .def_prop_ro("dropped", [](Node &n) { return n->board.dropped; })
         .def_prop_ro("torque_tq", [](Node &n) { return n->device.servo.torque_tq; })
         .def_prop_ro("unclipped_tq", [](Node &n) { return n->device.servo.unclipped_tq; })

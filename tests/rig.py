@@ -206,6 +206,8 @@ class Rig:
             if kind == _core.FRAME_FAULTS:
                 self.faults = _core.faults_decode(payload)
                 continue
+            if kind == _core.FRAME_READINGS:
+                continue
             assert kind == _core.FRAME_STATUS
             status = _core.status_decode(payload)
             assert status is not None

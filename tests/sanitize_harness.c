@@ -111,10 +111,12 @@ static void splines(void) {
         for (int32_t i = 0; i < 50; i++) {
             int32_t shift = 9 + (int32_t)below(7);
             int64_t knot = first_knot + between(-3, count + 5);
-            struct track_value v =
-                track_evaluate(&track, knot * (1LL << shift) + below(1u << shift), shift);
-            PROMISE(v.value < GATE_POINT_MAX + 200 && v.value > -GATE_POINT_MAX - 200);
-            PROMISE(v.rate <= 1 << 26 && v.rate >= -(1 << 26) - 3);
+            struct instant at = instant_at(knot * (1LL << shift) + below(1u << shift), shift);
+            PROMISE(at.knot == knot);
+            int32_t value = track_value(&track, &at), rate = track_rate(&track, &at);
+            track_curve(&track, &at);
+            PROMISE(value < GATE_POINT_MAX + 200 && value > -GATE_POINT_MAX - 200);
+            PROMISE(rate <= 1 << 26 && rate >= -(1 << 26) - 3);
         }
     }
 }

@@ -81,7 +81,10 @@ FAULTS = {
         "d2 < -limits->second_difference_max",
         "d2 + 1 < -limits->second_difference_max",
     ),
-    "room above": ("fastest <= 2 * room", "fastest <= 4 * room"),
+    "room above": (
+        "(uint32_t)limit - (uint32_t)farthest",
+        "2 * ((uint32_t)limit - (uint32_t)farthest)",
+    ),
     "room below": ("point_max, stop) &&", "point_max, stop) ||"),
     "rest": ("&& points[count - 1] == points[count - 3]", ""),
     "live": ("if (live &&", "if (live && i == 0 &&"),

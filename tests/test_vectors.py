@@ -671,6 +671,12 @@ def test_fixed_point_numbers_are_the_exact_ones_rounded_down() -> None:
             a, b = v.number("a"), v.number("b")
             assert v.answer == f"sum={wrapped(a + b, 32)} difference={wrapped(a - b, 32)}"
             continue
+        if v.word == "fixed-mul-u16":
+            assert v.answer == f"product={v.number('a') * v.number('b')}", v
+            continue
+        if v.word == "fixed-mul-u32":
+            assert v.answer == f"product={v.number('a') * v.number('b'):016x}", v
+            continue
         if v.word.startswith("fixed-clamp"):
             limit = v.number("limit")
             assert int(text) == sorted((-limit, v.number("value"), limit))[1]

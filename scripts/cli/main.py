@@ -22,6 +22,7 @@ from headway.cli.folder import RUNS, stamp
 from headway.cli.init import init
 from headway.cli.keys import keys
 from headway.cli.plant import plant
+from headway.cli.play import play
 from headway.cli.report import report
 from headway.cli.run import run
 from headway.cli.sweep import sweep
@@ -58,6 +59,7 @@ def make_app() -> App:
         sync,
         run,
         plant,
+        play,
         chaos,
         report,
         sweep,

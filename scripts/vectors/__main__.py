@@ -24,6 +24,7 @@ import payload
 import peer
 import servo
 import settings
+import signals
 import stop
 import track
 import watch
@@ -62,6 +63,12 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "peers": peer.peers,
     "lineages": peer.lineages,
     "marks": peer.marks,
+    "pieces": signals.pieces,
+    "graphs": signals.graphs,
+    "readings": signals.readings,
+    "batches": signals.batches,
+    "logics": signals.logics,
+    "reports": signals.reports,
 }
 
 

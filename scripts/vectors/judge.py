@@ -21,17 +21,25 @@ def compiler() -> str:
     return found
 
 
-def compile_judge(program: Path, options: Sequence[str] = ()) -> Path:
-    """Compiles tests/judge/ and what it calls of firmware/ into `program` and returns it."""
+def compile_judge(
+    program: Path, options: Sequence[str] = (), prefix: str = "", more: Sequence[str] = ()
+) -> Path:
+    """Compiles tests/judge/ and what it calls of firmware/ into `program` and returns it.
+
+    By the compiler whose tools begin with `prefix`, the host's if there is none; `more` is for the
+    linker alone.
+    """
     folders = ROOT / "firmware", ROOT / "tests" / "judge"
     firmware, judge = ([str(path) for path in sorted(folder.glob("*.c"))] for folder in folders)
+    tool = f"{prefix}gcc" if prefix else compiler()
     flags = ["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror", *options]
     flags += [f"-I{folder}" for folder in folders]
     with tempfile.TemporaryDirectory() as objects:
-        _run(objects, compiler(), *flags, "-c", *firmware)
+        _run(objects, tool, *flags, "-c", *firmware)
         made = [path.name for path in sorted(Path(objects).glob("*.o"))]
-        _run(objects, "ar", "rcs", "firmware.a", *made)
-        _run(objects, compiler(), *flags, *judge, "firmware.a", "-o", str(program.resolve()))
+        _run(objects, f"{prefix}ar", "rcs", "firmware.a", *made)
+        linked = [*judge, "firmware.a", *more, "-o", str(program.resolve())]
+        _run(objects, tool, *flags, *linked)
     return program
 
 

@@ -66,6 +66,14 @@ def fixed(rng: Random) -> Iterator[str]:
             random = [rng.randrange(-top - 1, top + 1) for _ in range(2)]
             for value in dict.fromkeys([0, 1, -1, 65535, -65536, top, -top - 1, *ends, *random]):
                 yield line("fixed-scale", value=value, mantissa=mantissa, shift=shift)
+    signed = (-top - 1, -top, -65537, -65536, -1, 0, 1, 65535, 65536, top)
+    for a in (*signed, rng.randrange(-top - 1, top + 1)):
+        for b in (0, 1, 255, 65535, rng.randrange(1 << 16)):
+            yield line("fixed-mul-u16", a=a, b=b)
+    whole = (0, 1, 65535, 65536, 65537, 1 << 31, 2 * top + 1, rng.randrange(1 << 32))
+    for a in whole:
+        for b in whole:
+            yield line("fixed-mul-u32", a=a, b=b)
 
 
 def tracks(rng: Random) -> Iterator[str]:

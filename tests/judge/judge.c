@@ -21,10 +21,11 @@ struct field {
 };
 
 static const struct word *const tables[] = {
-    codec_words,    handshake_words, payload_words, motion_words,  stop_words,  clock_words,
-    settings_words, guard_words,     group_words,   history_words, servo_words, peer_words};
+    codec_words, handshake_words, payload_words, motion_words, stop_words,
+    clock_words, settings_words,  guard_words,   group_words,  history_words,
+    servo_words, peer_words,      signal_words};
 static const char *file_name;
-static int32_t line_number;
+static int line_number;
 static struct field fields[FIELDS_MAX];
 static int32_t field_count;
 static char answer[LINE_MAX_BYTES];
@@ -249,10 +250,12 @@ static bool judge_file(bool publish) {
 }
 
 int main(int argc, char **argv) {
+#ifdef RLIMIT_CPU // a board has none
     struct rlimit cpu = {JUDGE_CPU_S, JUDGE_CPU_S + 1};
     setrlimit(RLIMIT_CPU, &cpu);
     struct rlimit core = {0, 0};
     setrlimit(RLIMIT_CORE, &core);
+#endif
     bool publish = argc > 1 && strcmp(argv[1], "--answer") == 0;
     if (argc < 2 + publish) {
         fprintf(stderr, "usage: judge [--answer] FILE ...\n");

@@ -41,11 +41,11 @@ static void replay_track_point(void) {
 }
 
 static void replay_track_at(void) {
-    struct track_value at =
-        track_evaluate(&tracks[given_sink()], given("time_us"), (int32_t)given("knot_shift"));
-    say_number("value", at.value);
-    say_number("rate", at.rate);
-    say_number("curve", at.curve);
+    const struct track *track = &tracks[given_sink()];
+    struct instant at = instant_at(given("time_us"), (int32_t)given("knot_shift"));
+    say_number("value", track_value(track, &at));
+    say_number("rate", track_rate(track, &at));
+    say_number("curve", track_curve(track, &at));
 }
 
 static void replay_limits_valid(void) {
@@ -75,6 +75,14 @@ static void replay_fixed_sum(void) {
     say_number("difference", fixed_difference(a, b));
 }
 
+static void replay_fixed_mul_u16(void) {
+    say_number("product", fixed_mul_u16((int32_t)given("a"), (uint16_t)given("b")));
+}
+
+static void replay_fixed_mul_u32(void) {
+    say_word64("product", fixed_mul_u32((uint32_t)given("a"), (uint32_t)given("b")));
+}
+
 static void replay_fixed_scale(void) {
     struct scale scale = {(uint16_t)given("mantissa"), (uint8_t)given("shift")};
     say_number("product", fixed_scale((int32_t)given("value"), scale));
@@ -85,6 +93,8 @@ const struct word motion_words[] = {
     {"fixed-clamp64", replay_fixed_clamp64},
     {"fixed-sum", replay_fixed_sum},
     {"fixed-scale", replay_fixed_scale},
+    {"fixed-mul-u16", replay_fixed_mul_u16},
+    {"fixed-mul-u32", replay_fixed_mul_u32},
     {"blank", replay_blank},
     {"store", replay_store},
     {"limits", replay_limits},

@@ -1,0 +1,204 @@
+"""What a stage may say: devices that play event streams and ramps in one time (strobe.yaml).
+
+Names stand for tracks, a device's inputs and its nodes. A node may be written before those that it
+reads; they are sorted, and a cycle is told by the name of a node in it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from headway.configs.mistakes.mistake import ConfigError, KeyPath, Mistake, Place
+from headway.configs.mistakes.source import read_text, read_yaml
+from headway.configs.mistakes.tree import Table, places_at
+from headway.configs.mistakes.words import clean
+from headway.configs.schema import Channel, Sync
+from headway.configs.section import Finite, Positive, Section
+
+Int32 = Annotated[int, Field(ge=-(2**31), le=2**31 - 1)]
+Time = Annotated[int, Field(ge=0, le=3_600_000_000)]  # us from the begin of the play
+Count = Annotated[int, Field(ge=1, le=10_000)]
+TRACKS_MAX, NODES_MAX = 11, 16
+INPUTS = (
+    "position", "error", "torque", "supply", "state",
+    "digital0", "digital1", "digital2", "digital3",
+)  # fmt: skip
+
+
+class Stream(Section):
+    """Events at even intervals: on, and a while later off."""
+
+    start_us: Time
+    every_us: Annotated[int, Field(ge=1, le=3_600_000_000)]
+    on_us: Annotated[int, Field(ge=1, le=3_600_000_000)]
+    times: Count
+    value: Int32 = 1
+
+
+class Ramp(Section):
+    """Straight from one value to another, held from then on. Without a start it goes on from the
+    end of the ramp before, without a first value from what the track has there."""
+
+    start_us: Time | None = None
+    end_us: Time
+    first: Int32 | None = None
+    last: Int32
+
+
+class Track(Section):
+    """A stream or ramps."""
+
+    stream: Stream | None = None
+    ramps: Annotated[list[Ramp], Field(default_factory=list)]
+
+
+class Node(Section):
+    """One value made of others, each servo period."""
+
+    kind: Literal["add", "multiply", "compare", "window", "gate", "edge"]
+    a: str
+    b: str = ""
+    low: Int32 = 0
+    high: Int32 = 0
+
+
+class Reading(Section):
+    """What is sampled, and when."""
+
+    kind: Literal["interval", "edge", "window"]
+    read: str
+    when: str = ""
+    every: Annotated[int, Field(ge=1, le=65535)] = 1
+    """Servo periods."""
+    fold_us: Positive | None = None
+    """The period of what is read, to put its samples together by."""
+
+
+class Sensor(Section):
+    """What a device's encoder shows: a wave of two harmonics [counts]."""
+
+    period_us: Positive
+    amplitude: Finite = 1000.0
+    second: Finite = 300.0
+
+
+class Player(Section):
+    """A device of the stage."""
+
+    drift_ppm: Annotated[float, Field(ge=-250, le=250)] = 0.0
+    digital: Annotated[list[str], Field(default_factory=list, max_length=4)]
+    pwm: Annotated[list[str], Field(default_factory=list, max_length=2)]
+    nodes: Annotated[dict[str, Node], Field(default_factory=dict, max_length=NODES_MAX)]
+    readings: Annotated[list[Reading], Field(default_factory=list, max_length=4)]
+    sensor: Sensor | None = None
+
+
+class Stage(Section):
+    """Devices, each by a wire of its own from one host, and the tracks that they play."""
+
+    name: str
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    settle_s: Annotated[float, Field(ge=1, le=60)] = 3.0
+    duration_s: Annotated[float, Field(gt=0, le=600)]
+    servo_period_us: Annotated[int, Field(ge=100, le=10_000)] = 1000
+    wire: Channel = Channel()
+    sync: Sync = Sync()
+    tracks: Annotated[dict[str, Track], Field(max_length=TRACKS_MAX)]
+    devices: Annotated[dict[str, Player], Field(min_length=1)]
+
+
+def order(nodes: dict[str, Node]) -> list[str]:
+    """The nodes' names, each after those that it reads. Raises ValueError with the name of one in a
+    cycle."""
+    done: list[str] = []
+    open_: list[str] = []
+
+    def visit(name: str) -> None:
+        if name in done:
+            return
+        if name in open_:
+            raise ValueError(name)
+        open_.append(name)
+        for read in (nodes[name].a, nodes[name].b):
+            if read in nodes:
+                visit(read)
+        open_.remove(name)
+        done.append(name)
+
+    for name in nodes:
+        visit(name)
+    return done
+
+
+def load_stage(path: Path) -> Stage:
+    """Raises ConfigError with all mistakes, each with its key and its line."""
+    source = Place(clean(str(path), 4096))
+    tree, mistakes = read_yaml(read_text(path), source)
+    if not isinstance(tree, Table):
+        text = "is no section of keys: start from a copy of configs/strobe.yaml"
+        raise ConfigError(*mistakes, Mistake(source, (), text))
+
+    def mistake(key: KeyPath, text: str) -> Mistake:
+        for length in range(len(key), -1, -1):
+            places = places_at(tree, key[:length])
+            if places:
+                return Mistake(places[0], key, text)
+        return Mistake(source, key, text)
+
+    try:
+        stage = Stage.model_validate(tree)
+    except ValidationError as error:
+        for problem in error.errors(include_url=False, include_context=False):
+            text = problem["msg"].removeprefix("Value error, ")
+            if problem["type"] == "extra_forbidden":
+                text = "there is no such key here; configs/strobe.yaml shows those that there are"
+            mistakes.append(mistake(tuple(problem["loc"]), text))
+        raise ConfigError(*mistakes) from error
+    mistakes += [mistake(key, text) for key, text in _unknown(stage)]
+    if mistakes:
+        raise ConfigError(*mistakes)
+    return stage
+
+
+def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
+    """Names that stand for nothing, cycles, and tracks that are neither."""
+    found: list[tuple[KeyPath, str]] = []
+    for name, track in stage.tracks.items():
+        if (track.stream is None) == (not track.ramps):
+            found.append((("tracks", name), "give either a stream or ramps"))
+        first = track.ramps[0] if track.ramps else None
+        if first is not None and (first.start_us is None or first.first is None):
+            found.append((("tracks", name, "ramps", 0), "the first ramp needs start_us and first"))
+    for name, device in stage.devices.items():
+        known = [*stage.tracks, *INPUTS, *device.nodes]
+
+        def check(key: KeyPath, read: str, known: list[str] = known) -> None:
+            if read not in known:
+                text = f"there is no {read!r}; there are: {', '.join(known)}"
+                found.append((key, text))
+
+        at: KeyPath = ("devices", name)
+        for i, read in enumerate(device.digital):
+            check((*at, "digital", i), read)
+        for i, read in enumerate(device.pwm):
+            check((*at, "pwm", i), read)
+        for node, of in device.nodes.items():
+            key = (*at, "nodes", node)
+            check((*key, "a"), of.a)
+            if of.kind in ("add", "multiply", "gate"):
+                check((*key, "b"), of.b)
+            if of.low > of.high:
+                found.append(((*key, "low"), f"is above high, {of.high}"))
+        for i, reading in enumerate(device.readings):
+            check((*at, "readings", i, "read"), reading.read)
+            if reading.kind != "interval":
+                check((*at, "readings", i, "when"), reading.when)
+        try:
+            order(device.nodes)
+        except ValueError as error:
+            text = "reads itself, at once or by way of others: have it read something else"
+            found.append(((*at, "nodes", str(error)), text))
+    return found

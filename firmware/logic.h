@@ -1,0 +1,44 @@
+// The payload of a LOGIC frame: nodes, what outputs follow, what is read and when. All of it holds from
+// then on, or nothing.
+//
+//     number u32, nodes u8; each: kind u8, a u8, b u8, low i32, high i32
+//     digital outputs u8 each, PWM outputs u8 each: sources, 255: none
+//     triggers u8; each: kind u8, source u8, condition u8, every u16
+#ifndef HEADWAY_LOGIC_H
+#define HEADWAY_LOGIC_H
+
+#include "board.h" // outputs
+#include "graph.h"
+
+#define LOGIC_TRIGGERS 4
+
+enum trigger_kind {
+    TRIGGER_INTERVAL, // each `every` periods
+    TRIGGER_EDGE,     // when the condition turns true
+    TRIGGER_WINDOW,   // at once and each `every` periods while it is true
+    TRIGGER_KINDS,
+};
+
+struct trigger {
+    uint8_t kind;              // enum trigger_kind
+    uint8_t source, condition; // what is read, and when
+    uint16_t every;            // servo periods
+};
+
+struct logic {
+    uint32_t number; // of the host's, from 1 on
+    uint8_t nodes;
+    struct logic_node node[GRAPH_NODES];
+    uint8_t digital[BOARD_DIGITAL], pwm[BOARD_PWM]; // sources
+    uint8_t triggers;
+    struct trigger trigger[LOGIC_TRIGGERS];
+};
+
+// What is wrong, and with which: nodes are counted first, then outputs, then triggers.
+enum graph_result logic_check(const struct logic *logic, int32_t *wrong);
+
+// The size, or -1 if it does not fit; false if malformed (then the output is undefined).
+int32_t logic_encode(const struct logic *logic, uint8_t *payload, int32_t capacity);
+bool logic_decode(const uint8_t *payload, int32_t size, struct logic *logic);
+
+#endif

@@ -1,0 +1,60 @@
+#include "piece.h"
+
+#define HALF_Q31 (1 << 30)
+
+static const struct piece *piece(const struct pieces *track, uint32_t number) {
+    return &track->ring[number % PIECES];
+}
+
+static int32_t value(const struct piece *piece, int64_t time_us) {
+    if (time_us >= piece->end_us)
+        return piece->to;
+    int64_t way_q31 = piece->slope_q31 * (time_us - piece->start_us);
+    return (int32_t)(piece->from + ((way_q31 + HALF_Q31) >> 31));
+}
+
+static uint32_t oldest(const struct pieces *track) {
+    return track->next > PIECES ? track->next - PIECES : 0;
+}
+
+int32_t pieces_at(const struct pieces *track, int64_t time_us) {
+    for (uint32_t number = track->next; number > oldest(track); number--)
+        if (piece(track, number - 1)->start_us <= time_us)
+            return value(piece(track, number - 1), time_us);
+    return 0;
+}
+
+int32_t pieces_now(struct pieces *track, int64_t time_us) {
+    if (track->next == 0 || piece(track, track->current)->start_us > time_us)
+        return 0; // the first one has not begun
+    while (track->current + 1 < track->next &&
+           piece(track, track->current + 1)->start_us <= time_us)
+        track->current++;
+    return value(piece(track, track->current), time_us);
+}
+
+enum piece_result pieces_take(struct pieces *track, uint32_t number,
+                              const struct wanted_piece *wanted, int64_t now_us) {
+    const struct piece *before = track->next > 0 ? piece(track, track->next - 1) : 0;
+    if (number < track->next)
+        return PIECE_TAKEN;
+    if (number > track->next || (!before && !(wanted->has_start && wanted->has_from)))
+        return PIECE_GAP;
+    int64_t start_us = wanted->has_start ? wanted->start_us : before->end_us;
+    int64_t took_us = wanted->end_us - start_us;
+    if (took_us < 0 || took_us > PIECE_LONGEST_US || (before && start_us < before->start_us))
+        return PIECE_ORDER;
+    if (start_us < now_us)
+        return PIECE_LATE;
+    if (track->next >= PIECES && piece(track, track->next - PIECES + 1)->start_us > now_us)
+        return PIECE_FULL;
+    struct piece taken = {.start_us = start_us, .end_us = wanted->end_us, .to = wanted->to};
+    taken.from = wanted->has_from ? wanted->from : value(before, start_us);
+    if (took_us > 0)
+        taken.slope_q31 = ((int64_t)taken.to - taken.from) * (1LL << 31) / took_us;
+    if (number == track->current + PIECES) // its place; the one after it has begun
+        track->current++;
+    track->ring[number % PIECES] = taken;
+    track->next++;
+    return PIECE_TAKEN;
+}

@@ -1,0 +1,33 @@
+// The payload of a READINGS frame: what was sampled, and what has arrived of pieces and logic. One
+// leaves with each status once a device has heard of any of them.
+//
+//     logic u32, result u8, wrong u8; next u32 of each track of pieces, refused u32
+//     lost u32, first u32, count u8, base_us i64; each reading: trigger u8, time varint, value varint
+//
+// Readings are numbered from 0; they are told again until a batch says that they were seen. Times and
+// values are differences, the first time's from base_us.
+#ifndef HEADWAY_REPORT_H
+#define HEADWAY_REPORT_H
+
+#include "graph.h"
+#include "reading.h"
+#include <stdbool.h>
+
+#define REPORT_READINGS 48
+#define REPORT_TRACKS (SOURCE_OF_INPUTS - SOURCE_OF_PIECES)
+
+struct report {
+    uint32_t logic;               // number of the last one that came ...
+    uint8_t result, wrong;        // ... and what was wrong, see logic_check
+    uint32_t next[REPORT_TRACKS]; // number of the piece that is to come
+    uint32_t refused;             // pieces, ever
+    uint32_t lost;                // readings, ever: overwritten before they were seen
+    uint32_t first;               // number of the first reading here
+    uint8_t count;
+    struct reading readings[REPORT_READINGS];
+};
+
+int32_t report_encode(const struct report *report, uint8_t *payload, int32_t capacity);
+bool report_decode(const uint8_t *payload, int32_t size, struct report *report);
+
+#endif

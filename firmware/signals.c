@@ -1,0 +1,161 @@
+#include "signals.h"
+#include "fixed.h" // clamp
+#include <string.h>
+
+void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us) {
+    signals->used = true;
+    readings_seen(&signals->readings, batch->seen);
+    for (int32_t i = 0; i < batch->count; i++) {
+        const struct batch_piece *sent = &batch->pieces[i];
+        struct pieces *track = &signals->tracks[sent->track - SOURCE_OF_PIECES];
+        if (pieces_take(track, sent->number, &sent->piece, now_us) != PIECE_TAKEN)
+            signals->refused++;
+    }
+}
+
+static uint32_t bit(uint8_t source) { return source < SOURCE_OF_NODES ? 1u << source : 0; }
+
+static uint32_t reads(const struct logic *logic) {
+    uint32_t all = 0;
+    for (int32_t i = 0; i < logic->nodes; i++)
+        all |= bit(logic->node[i].a) | bit(logic->node[i].b);
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        all |= bit(logic->digital[i]);
+    for (int32_t i = 0; i < BOARD_PWM; i++)
+        all |= bit(logic->pwm[i]);
+    for (int32_t i = 0; i < logic->triggers; i++)
+        all |= bit(logic->trigger[i].source) | bit(logic->trigger[i].condition);
+    return all;
+}
+
+void signals_rule(struct signals *signals, const struct logic *logic) {
+    int32_t wrong;
+    if (signals->used && logic->number == signals->asked)
+        return;
+    signals->used = true;
+    signals->asked = logic->number;
+    signals->result = (uint8_t)logic_check(logic, &wrong);
+    signals->wrong = (uint8_t)wrong;
+    if (signals->result != GRAPH_GOOD)
+        return;
+    signals->ruled = true;
+    signals->logic = *logic;
+    signals->reads = reads(logic);
+    signals->graph.count = logic->nodes;
+    signals->graph.held = 0;
+    memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
+    signals->met = 0;
+    signals->until_us = -PIECE_TIME_MAX; // outputs take the place that they should have
+}
+
+void signals_report(const struct signals *signals, struct report *report) {
+    const struct readings *readings = &signals->readings;
+    uint32_t waiting = readings->taken - readings->kept;
+    report->logic = signals->asked;
+    report->result = signals->result;
+    report->wrong = signals->wrong;
+    for (int32_t i = 0; i < REPORT_TRACKS; i++)
+        report->next[i] = signals->tracks[i].next;
+    report->refused = signals->refused;
+    report->lost = readings->lost;
+    report->first = readings->kept;
+    report->count = (uint8_t)(waiting < REPORT_READINGS ? waiting : REPORT_READINGS);
+    for (uint32_t i = 0; i < report->count; i++)
+        report->readings[i] = readings->ring[(readings->kept + i) % READINGS];
+}
+
+// The count at a time that is at most a servo period ahead, or past.
+static uint32_t count_of(const struct headway_clock *clock, int64_t time_us) {
+    int64_t ahead_us = time_us - clock->system_us;
+    if (ahead_us <= 0)
+        return clock->count_us;
+    return clock->count_us + (uint32_t)(ahead_us - ((ahead_us * clock->rate_q32) >> 32));
+}
+
+static void set_digital(struct signals *signals, struct board *board, int32_t output, bool on,
+                        uint32_t count_us) {
+    if ((signals->on >> output & 1) == on)
+        return;
+    signals->on ^= (uint8_t)(1 << output);
+    board_set_digital(board, output, on, count_us);
+}
+
+// What a track changes until the next period the board is told ahead, with its count: so the output
+// changes at that microsecond, whenever periods are.
+static void follow_track(struct signals *signals, struct board *board, int32_t output,
+                         const struct pieces *track, const struct headway_clock *clock,
+                         int64_t until_us) {
+    for (uint32_t number = track->current; number < track->next; number++) {
+        const struct piece *piece = &track->ring[number % PIECES];
+        if (piece->start_us >= until_us)
+            return;
+        if (piece->start_us >= signals->until_us)
+            set_digital(signals, board, output, piece->to != 0, count_of(clock, piece->start_us));
+    }
+}
+
+static void drive_outputs(struct signals *signals, struct board *board,
+                          const struct headway_clock *clock, int64_t until_us) {
+    const struct logic *logic = &signals->logic;
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++) {
+        uint8_t source = logic->digital[i];
+        if (source == SOURCE_UNUSED)
+            set_digital(signals, board, i, false, clock->count_us);
+        else if (source >= SOURCE_OF_PIECES && source < SOURCE_OF_INPUTS)
+            follow_track(signals, board, i, &signals->tracks[source - SOURCE_OF_PIECES], clock,
+                         until_us);
+        else
+            set_digital(signals, board, i, signals->values[source] != 0, clock->count_us);
+    }
+    for (int32_t i = 0; i < BOARD_PWM; i++) {
+        int32_t duty = logic->pwm[i] == SOURCE_UNUSED ? 0 : signals->values[logic->pwm[i]];
+        board_set_pwm(board, i, duty < 0 ? 0 : duty > INT16_MAX ? INT16_MAX : duty);
+    }
+}
+
+static bool is_due(struct signals *signals, int32_t i) {
+    const struct trigger *trigger = &signals->logic.trigger[i];
+    bool met = trigger->kind == TRIGGER_INTERVAL || signals->values[trigger->condition] != 0;
+    bool before = signals->met >> i & 1;
+    signals->met = (uint8_t)((signals->met & ~(1u << i)) | (uint32_t)met << i);
+    if (!met || (trigger->kind == TRIGGER_EDGE && before))
+        return false;
+    if (before && --signals->wait[i] != 0)
+        return false;
+    signals->wait[i] = trigger->every;
+    return true;
+}
+
+static void switch_off(struct signals *signals, struct board *board,
+                       const struct headway_clock *clock) {
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        set_digital(signals, board, i, false, clock->count_us);
+    for (int32_t i = 0; i < BOARD_PWM; i++)
+        board_set_pwm(board, i, 0);
+    signals->until_us = -PIECE_TIME_MAX; // later they take the place that they should have
+}
+
+void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
+                  uint16_t period_us, bool live) {
+    int64_t time_us = clock->system_us, until_us = time_us + period_us;
+    for (int32_t i = 0; i < REPORT_TRACKS; i++)
+        if (signals->tracks[i].next != 0)
+            signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
+    graph_step(&signals->graph, signals->values);
+    if (signals->ruled && live) {
+        drive_outputs(signals, board, clock, until_us);
+        signals->until_us = until_us > signals->until_us ? until_us : signals->until_us;
+    } else {
+        switch_off(signals, board, clock);
+    }
+    for (int32_t i = 0; i < signals->logic.triggers; i++)
+        if (is_due(signals, i))
+            readings_push(&signals->readings, time_us,
+                          signals->values[signals->logic.trigger[i].source], (uint8_t)i);
+}
+
+void signals_restart(struct signals *signals) {
+    uint8_t on = signals->on;
+    memset(signals, 0, sizeof *signals);
+    signals->on = on;
+}

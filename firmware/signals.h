@@ -1,0 +1,46 @@
+// Signals: all that a device does in time beside its axis. Tracks of pieces come in; logic makes more of
+// them; outputs follow, and readings are taken when triggers say so.
+#ifndef HEADWAY_SIGNALS_H
+#define HEADWAY_SIGNALS_H
+
+#include "batch.h"
+#include "clock.h"
+#include "logic.h"
+#include "report.h"
+
+struct signals {
+    bool used;                     // some have come
+    bool ruled;                    // there is a logic
+    struct logic logic;            // that holds
+    uint32_t reads;                // bit i: it reads source i, a track or an input
+    uint32_t asked;                // number of the one that came last ...
+    uint8_t result, wrong;         // ... and what was wrong with it
+    uint32_t refused;              // pieces, ever
+    int64_t until_us;              // the board knows of changes up to here
+    uint8_t on;                    // bit i: digital output i, as the board was told
+    uint8_t met;                   // bit i: the condition of trigger i was true
+    uint16_t wait[LOGIC_TRIGGERS]; // periods until its next reading
+    struct graph graph;
+    struct pieces tracks[REPORT_TRACKS];
+    struct readings readings;
+    int32_t values[GRAPH_VALUES]; // of the last period
+};
+
+// Pieces are taken one by one: one that is refused is missing, and so those after it in its track.
+void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us);
+
+// As a whole or not at all; the same number again changes nothing.
+void signals_rule(struct signals *signals, const struct logic *logic);
+
+void signals_report(const struct signals *signals, struct report *report);
+
+// One servo period at the clock's time. `values` has what is read of tracks
+// of motion and inputs. While it is not
+// `live`, all outputs are off.
+void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
+                  uint16_t period_us, bool live);
+
+// Forgets all but where the outputs are: another host counts from the start.
+void signals_restart(struct signals *signals);
+
+#endif

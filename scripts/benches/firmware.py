@@ -1,0 +1,162 @@
+"""Cycles of the firmware on a Cortex-M0+: each kernel, the whole servo tick, a plan; and rivals.
+
+The firmware, cross-compiled with -O2, runs in an emulator that counts (scripts/cortex/emulator.py
+says by which table, and what a chip adds). It is the device of arm2's shoulder at work, with all
+tracks and an integral, and lives through the same polls as the same device on this computer: their
+states stay the same to the last byte.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "cortex"))
+from _report import arguments, finish, goal, table
+from emulator import RAM, SIZE, Emulator, Tally
+from image import compile_firmware, soft_float
+from scene import Scene, is_tick
+from tools import HERE, PREFIX, need
+
+BUDGET = 1700  # of a servo tick, as it was meant to be
+HELD = 4700  # and what a change may not exceed
+KERNELS = {  # what a tick calls
+    "track_value": "spline, value",
+    "track_rate": "spline, rate",
+    "clock_advance": "clock map",
+    "sync_steer": "clock, steering",
+    "servo_step": "PID, feed-forward, duty",
+    "monitor_step": "monitors",
+    "drive": "setpoint, servo, outputs",
+    "signals_step": "two nodes, two digital outputs",
+    "device_guard": "guard (a timer's interrupt)",
+}
+PARTS = {  # of a plan's frame
+    "frame_open": "of it, SipHash and counter",
+    "plan_decode": "of it, decoding",
+    "gate_check": "of it, the gate",
+}
+REPORTS = ("outbox_status", "outbox_readings")
+DIVISIONS = ("__udivmoddi4", "__divdi3", "__udivdi3", "__aeabi_ldivmod", "__aeabi_uldivmod")
+SEEDS = 64  # inputs of the rivals
+AGREE = {"float": 0.002, "decimal": 0.02}  # of the result, by which rivals may differ
+SCRATCH = RAM + SIZE - 0x8000
+
+
+def reports(tally: Tally) -> int:
+    """Cycles for what is sent in a poll."""
+    return sum(sum(tally.calls.get(name, [])) for name in REPORTS)
+
+
+def cost(tally: Tally) -> int:
+    """Of a poll, but for what is sent and the guard's timer."""
+    return sum(tally.calls["device_poll"]) - reports(tally)
+
+
+def row(name: str, cycles: list[int]) -> dict[str, Any]:
+    return {"what": name, "mean": float(np.mean(cycles)), "max": float(max(cycles))}
+
+
+def life(core: Emulator, us: int) -> list[Tally]:
+    """The polls of a device at work."""
+    scene = Scene()
+    twin = scene.emulate(core)
+    scene.run(us)
+    return twin.tallies
+
+
+def called(tallies: list[Tally], name: str) -> list[int]:
+    return [cycles for tally in tallies for cycles in tally.calls.get(name, [])]
+
+
+def siphash(core: Emulator, size: int) -> int:
+    core.take()
+    core.write(SCRATCH, bytes(range(256)) * 5)
+    core.call("siphash24", SCRATCH, 0, SCRATCH + 16, size)
+    return core.take().cycles
+
+
+def rivals(file: Path, device: bytes) -> list[dict[str, Any]]:
+    """The servo's two kernels in three kinds of numbers; raises ValueError if they disagree."""
+    core = Emulator(file)
+    core.write(core.address("the_device"), device)
+    rows = []
+    for work in ("spline", "pid"):
+        cycles: dict[str, list[int]] = {kind: [] for kind in ("fixed", *AGREE)}
+        for seed in range(SEEDS):
+            results = {}
+            for kind in cycles:
+                core.call("rivals_prepare", seed)
+                core.take()
+                results[kind] = np.int32(np.uint32(core.call(f"{work}_{kind}")))
+                cycles[kind].append(core.take().cycles)
+            for kind, share in AGREE.items():
+                apart = abs(int(results[kind]) - int(results["fixed"]))
+                if apart > max(30, share * abs(int(results["fixed"]))):
+                    raise ValueError(f"{work}, seed {seed}: {results}")
+        fixed = np.mean(cycles["fixed"])
+        rows.append(
+            {
+                "what": "spline, value and rate" if work == "spline" else "PID, feed-forward, duty",
+                "fixed": float(fixed),
+                "soft-float": float(np.mean(cycles["float"])),
+                "ratio": float(np.mean(cycles["float"]) / fixed),
+                "4 decimal digits": float(np.mean(cycles["decimal"])),
+                "ratio of it": float(np.mean(cycles["decimal"]) / fixed),
+            }
+        )
+    return rows
+
+
+def measure(us: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[dict[str, Any]]]:
+    """Cycles, rivals and goals, of so long a life."""
+    with tempfile.TemporaryDirectory() as folder:
+        image = compile_firmware(Path(folder) / "firmware.elf")
+        core = Emulator(image, ("device_poll", *REPORTS, *KERNELS, *PARTS))
+        tallies = life(core, us)
+        ticks = [t for t in tallies if is_tick(t)]
+        idle = [t for t in tallies if "servo_step" not in t.calls and t.packets == 0]
+        plans = [t for t in tallies if "gate_check" in t.calls and "servo_step" not in t.calls]
+        cycles = [
+            row("servo tick, whole", [cost(t) for t in ticks]),
+            row(
+                "servo tick but for steering", [cost(t) - sum(t.calls["sync_steer"]) for t in ticks]
+            ),
+            *(row(f"  {label}", called(ticks, name)) for name, label in KERNELS.items()),
+            row("poll between ticks", [cost(t) for t in idle]),
+            row("PLAN frame, 55 points on 5 tracks", [cost(t) for t in plans]),
+            *(row(f"  {label}", called(plans, name)) for name, label in PARTS.items()),
+            row("STATUS and READINGS frames", [reports(t) for t in tallies if reports(t)]),
+            row("SipHash of 64 bytes", [siphash(core, 64)]),
+        ]
+        device = core.read(core.address("the_device"), core.read_u32("the_sizes"))
+        others = compile_firmware(Path(folder) / "rivals.elf", [HERE / "rivals.c"])
+        compared = rivals(others, device)
+        worst = cycles[0]["max"]
+        divided = sum(t.own.get(name, 0) for t in ticks for name in DIVISIONS)
+        goals = [
+            goal("servo tick, maximum [cycles]", worst, "<=", BUDGET),
+            goal("servo tick, maximum, no more than before [cycles]", worst, "<=", HELD),
+            goal(
+                "routines of soft-float in the image", len(soft_float(core.image.symbols)), "<=", 0
+            ),
+            goal("cycles of 64-bit divisions in all ticks", divided, "<=", 0),
+        ]
+    return cycles, compared, goals
+
+
+def main() -> None:
+    need(f"{PREFIX}gcc")
+    options = arguments(__doc__ or "")
+    cycles, compared, goals = measure(4_000_000 if options.long else 800_000)
+    table("Cortex-M0+, cycles", cycles)
+    table("The same work in other numbers, cycles", compared)
+    finish([*cycles, *compared], goals, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""`headway play`: devices that fire, compute and sample in one time, in simulation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+from headway.cli.failure import ExitCode, Failure
+
+if TYPE_CHECKING:
+    from headway.sim.stage import Play
+
+
+def play(
+    stage: Path,
+    /,
+    *,
+    to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Plays a stage: event streams and ramps on several devices, with logic, outputs and readings.
+
+    Says when outputs went on, against what was asked and against each other's, and what was read.
+
+    Example: a strobe and a shutter at the same microsecond, a sensor on their edges, and a wave
+    beyond its bandwidth.
+
+        headway play configs/strobe.yaml
+
+    Parameters
+    ----------
+    stage
+        The YAML file of a stage.
+    to_json
+        Prints the figures as JSON, and nothing else, on standard output.
+    """
+    from headway.configs.mistakes.mistake import ConfigError
+    from headway.configs.stage import load_stage
+    from headway.sim.stage import Play
+
+    try:
+        played = Play(load_stage(stage))
+        played.run()
+    except ConfigError as error:
+        raise Failure(ExitCode.USAGE, str(error)) from error
+    except ValueError as error:
+        raise Failure(ExitCode.DEVICE, f"{stage}: {error}") from error
+    figures = _figures(played)
+    if to_json:
+        print(json.dumps(figures, indent=2))
+    else:
+        _show(figures)
+    return ExitCode.DONE
+
+
+def _figures(played: Play) -> dict[str, Any]:
+    import numpy as np
+
+    from headway.sim.stage import reconstruct
+
+    outputs, readings = [], []
+    seen: dict[str, list[int]] = {}
+    for i, (name, device) in enumerate(played.stage.devices.items()):
+        for output, track in enumerate(device.digital):
+            fired = played.fired[i].get(output, [])
+            row: dict[str, Any] = {"device": name, "output": output, "follows": track}
+            row["times"] = len(fired)
+            stream = played.stage.tracks[track].stream if track in played.stage.tracks else None
+            if stream is not None:
+                asked = stream.start_us + stream.every_us * np.arange(stream.times)
+                off = np.array([t - asked[np.abs(asked - t).argmin()] for t in fired])
+                row["off_us"] = int(np.abs(off).max()) if len(off) else None
+            if track in seen and len(seen[track]) == len(fired):
+                row["apart_us"] = int(np.abs(np.array(fired) - seen[track]).max())
+            seen.setdefault(track, fired)
+            outputs.append(row)
+        for trigger, reading in enumerate(device.readings):
+            told = played.readings(i, trigger)
+            row = {"device": name, "reads": reading.read, "kind": reading.kind}
+            row |= {"times": len(told), "lost": played.lost(i)}
+            if reading.fold_us is not None and len(told) > 20:
+                left, amplitudes = reconstruct(told, reading.fold_us)
+                row["left_over"] = round(left, 4)
+                row["amplitudes"] = [round(float(a), 1) for a in amplitudes]
+            readings.append(row)
+    return {
+        "name": played.stage.name,
+        "clocks_within_us": round(played.widest_us, 1),
+        "outputs": outputs,
+        "readings": readings,
+    }
+
+
+def _show(figures: dict[str, Any]) -> None:
+    console = Console()
+    for title, rows in (("outputs", figures["outputs"]), ("readings", figures["readings"])):
+        if not rows:
+            continue
+        heads = list(dict.fromkeys(key for row in rows for key in row))
+        table = Table(*heads, title=title, title_justify="left")
+        for row in rows:
+            table.add_row(*(str(row.get(key, "")) for key in heads))
+        console.print(table)
+    console.print(f"{figures['name']}: clocks were within {figures['clocks_within_us']} us")

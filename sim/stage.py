@@ -1,0 +1,195 @@
+"""A stage in simulation: boards with oscillators and wires of their own, playing signals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.configs.stage import INPUTS, Sensor, Stage, Track, order
+from headway.devices.signals import Logic, Piece, event
+from headway.firmware import _core
+from headway.sim.boards import Boards, Crystal, Host
+from headway.sim.network import Wire
+
+EPOCH_US = 1_700_000_000_000_000
+KNOT_SHIFT = 12
+COUNTS_MAX = 1 << 20
+
+
+def pieces(track: Track, begin_us: int) -> list[Piece]:
+    """Of a track, in system time."""
+    stream = track.stream
+    if stream is not None:
+        return [
+            e
+            for i in range(stream.times)
+            for at in [begin_us + stream.start_us + i * stream.every_us]
+            for e in (event(at, stream.value), event(at + stream.on_us, 0))
+        ]
+    return [
+        Piece(
+            begin_us + ramp.end_us,
+            ramp.last,
+            None if ramp.start_us is None else begin_us + ramp.start_us,
+            ramp.first,
+        )
+        for ramp in track.ramps
+    ]
+
+
+def wave(sensor: Sensor, time_us: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a sensor shows at true times [counts]."""
+    angle = 2 * np.pi * time_us / sensor.period_us
+    made: NDArray[np.float64] = sensor.amplitude * np.sin(angle) + sensor.second * np.cos(2 * angle)
+    return made
+
+
+def board_settings(stage: Stage) -> _core.DeviceSettings:
+    """Of a board whose axis never moves: limits that hold whatever its encoder shows."""
+    from headway.devices.settings import sync_settings
+
+    servo, monitor = _core.ServoSettings(), _core.MonitorSettings()
+    servo.torque_limit_tq = 1
+    monitor.following_pq = monitor.speed_pq = monitor.stuck_pq = 1 << 30
+    monitor.deceleration_q16 = monitor.rise_q16 = 1 << 30
+    monitor.spike_counts, monitor.late_us = (1 << 18) - 1, 4 * stage.servo_period_us
+    monitor.supply_max_mV, monitor.chopper_mV = 40_000, 30_000
+    home = _core.HomeSettings()
+    home.acceleration_q16 = 1
+    settings = _core.DeviceSettings()
+    settings.key = bytes(range(16))
+    settings.servo, settings.monitor, settings.home = servo, monitor, home
+    settings.knot_shift, settings.servo_period_us = KNOT_SHIFT, stage.servo_period_us
+    settings.sample_every, settings.torque_step_tq = 1, 1
+    settings.sync_lost_us, settings.stop_us = 400_000, 300_000
+    settings.sync = sync_settings(stage.sync)
+    return settings
+
+
+class Play:
+    """The boards of a stage, played from power-up to the end. Times are the host's, from the
+    begin of the play [us]."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self.names = list(stage.devices)
+        rng = np.random.default_rng(stage.seed)
+        settings = [board_settings(stage) for _ in self.names]
+        hosts = [
+            Host(
+                i,
+                settings[i].key,
+                (Wire(stage.wire, rng.spawn(1)[0]), Wire(stage.wire, rng.spawn(1)[0])),
+                EPOCH_US,
+                37 * i,
+                1 << KNOT_SHIFT,
+                rng.spawn(1)[0],
+            )
+            for i in range(len(self.names))
+        ]
+        crystals = [
+            Crystal(int(rng.integers(2**32)), round(1000 * d.drift_ppm), 300, 250_000, i)
+            for i, d in enumerate(stage.devices.values())
+        ]
+        self.boards = Boards(settings, crystals, [], rng, hosts, poll_us=250)
+        self.widest_us = 0.0  # of what any board told that its clock may be off while it played
+        for i, device in enumerate(stage.devices.values()):
+            if device.sensor is not None:
+                self.boards.encoders[i] = self._encoder(device.sensor)
+
+    @staticmethod
+    def _encoder(sensor: Sensor):  # type: ignore[no-untyped-def]
+        return lambda true_us: int(np.rint(wave(sensor, np.array([float(true_us)]))[0]))
+
+    def run(self) -> None:
+        """To the end. Raises ValueError, with the device's name, for clocks that do not settle."""
+        begin_us = round(self.stage.settle_s * 1e6)
+        self.boards.advance(begin_us - 500_000)
+        for name, node in zip(self.names, self.boards.nodes, strict=True):
+            if not node.synced:
+                raise ValueError(
+                    f"the clock of {name} has not settled within settle_s: {self.stage.settle_s:g}"
+                )
+        self._begin_us = begin_us
+        for i, name in enumerate(self.names):
+            self._hand_out(i, name)
+        end_us = begin_us + round(self.stage.duration_s * 1e6)
+        self.fired: list[dict[int, list[int]]] = [{} for _ in self.names]
+        known = [0] * len(self.names)
+        for now_us in range(begin_us, end_us + 200_000, 20_000):
+            self.boards.advance(now_us)
+            told = [max(-low, high) / 1000 for low, high in self.boards.told_ns()]
+            self.widest_us = max(self.widest_us, *told)
+            for i, node in enumerate(self.boards.nodes):
+                for time_us, output, on in node.flips:
+                    if on and time_us > known[i]:
+                        self.fired[i].setdefault(output, []).append(time_us - begin_us)
+                known[i] = max([known[i], *(t for t, _, _ in node.flips)])
+
+    def readings(self, device: int, trigger: int) -> NDArray[np.int64]:
+        """Times and values (n, 2)."""
+        signals = self.boards.hosts[device].remote.signals
+        begin_us = EPOCH_US + self._begin_us
+        told = [(t - begin_us, value) for t, value, of in signals.readings if of == trigger]
+        return np.array(told, dtype=np.int64).reshape(-1, 2)
+
+    def lost(self, device: int) -> int:
+        return self.boards.hosts[device].remote.signals.lost
+
+    def _hand_out(self, index: int, name: str) -> None:
+        device, signals = self.stage.devices[name], self.boards.hosts[index].remote.signals
+        nodes = order(device.nodes)
+        source = {t: _core.SOURCE_OF_PIECES + i for i, t in enumerate(self.stage.tracks)}
+        source |= {n: _core.SOURCE_OF_INPUTS + i for i, n in enumerate(INPUTS)}
+        source |= {n: _core.SOURCE_OF_NODES + i for i, n in enumerate(nodes)}
+        made = [
+            (
+                _core.NODE_KINDS.index(node.kind),
+                source[node.a],
+                source.get(node.b, 0),
+                node.low,
+                node.high,
+            )
+            for node in (device.nodes[n] for n in nodes)
+        ]
+        triggers = [
+            (
+                _core.TRIGGER_KINDS.index(r.kind),
+                source[r.read],
+                source.get(r.when, 0),
+                r.every,
+            )
+            for r in device.readings
+        ]
+        signals.rule(
+            Logic(
+                made,
+                [source[n] for n in device.digital],
+                [source[n] for n in device.pwm],
+                triggers,
+                nodes,
+            )
+        )
+        used = {*device.digital, *device.pwm}
+        used |= {r for n in device.nodes.values() for r in (n.a, n.b)}
+        used |= {r for reading in device.readings for r in (reading.read, reading.when)}
+        for track in used & set(self.stage.tracks):
+            signals.write(
+                source[track], pieces(self.stage.tracks[track], EPOCH_US + self._begin_us)
+            )
+
+
+def reconstruct(
+    readings: NDArray[np.int64], period_us: float, harmonics: int = 3
+) -> tuple[float, NDArray[np.float64]]:
+    """One period of a wave from samples at many of its periods: the rms of what the harmonics leave
+    over, by that of the wave, and their amplitudes. Least squares (a Fourier series at the samples'
+    own phases)."""
+    angle = 2 * np.pi * readings[:, 0] / period_us
+    columns = [np.ones_like(angle)]
+    for k in range(1, harmonics + 1):
+        columns += [np.sin(k * angle), np.cos(k * angle)]
+    basis, values = np.stack(columns, axis=1), readings[:, 1].astype(float)
+    found, *_ = np.linalg.lstsq(basis, values, rcond=None)
+    left = float(np.std(values - basis @ found) / np.std(values))
+    return left, np.hypot(found[1::2], found[2::2])

@@ -1,0 +1,170 @@
+// Fuzz target: signals of a hostile host. Its bytes are a script: logic of any nodes, batches of any
+// pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
+// outputs are off where nothing rules them, and what is told can be read.
+#include "node.h"
+
+static struct node begun;
+
+int LLVMFuzzerInitialize(int *argc, char ***argv) {
+    (void)argc, (void)argv;
+    begun.board.true_us = 1000000;
+    PROMISE(oscillator_begin(&begun.board.oscillator, 0, 0, 0, 1000, 1));
+    return 0;
+}
+
+struct script {
+    const uint8_t *bytes;
+    size_t size, at;
+};
+
+static uint8_t next(struct script *script) {
+    return script->at < script->size ? script->bytes[script->at++] : 0;
+}
+
+static int32_t next_word(struct script *script) {
+    static const int32_t edges[] = {0, 1, -1, 65536, INT32_MAX, INT32_MIN};
+    uint8_t what = next(script);
+    if (what % 8 < 6)
+        return edges[what % 8];
+    uint32_t word = 0;
+    for (int32_t i = 0; i < 4; i++)
+        word = word << 8 | next(script);
+    return (int32_t)word;
+}
+
+static uint8_t next_source(struct script *script) { return (uint8_t)(next(script) % 52); }
+
+static void rule(struct script *script, struct signals *signals) {
+    struct logic logic = {.number = next(script),
+                          .nodes = next(script) % (GRAPH_NODES + 1),
+                          .triggers = next(script) % (LOGIC_TRIGGERS + 1)};
+    int32_t wrong;
+    for (int32_t i = 0; i < logic.nodes; i++) {
+        logic.node[i].kind = next(script) % (NODE_KINDS + 1);
+        logic.node[i].a = next_source(script);
+        logic.node[i].b = next_source(script);
+        logic.node[i].low = next_word(script);
+        logic.node[i].high = next_word(script);
+    }
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        logic.digital[i] = next(script) % 4 ? SOURCE_OF_PIECES + (uint8_t)i : next_source(script);
+    for (int32_t i = 0; i < BOARD_PWM; i++)
+        logic.pwm[i] = next(script) % 4 ? SOURCE_UNUSED : next_source(script);
+    for (int32_t i = 0; i < logic.triggers; i++) {
+        logic.trigger[i].kind = next(script) % (TRIGGER_KINDS + 1);
+        logic.trigger[i].source = next_source(script);
+        logic.trigger[i].condition = next_source(script);
+        logic.trigger[i].every = next(script) % 8;
+    }
+    uint8_t payload[1000];
+    struct logic again;
+    int32_t size = logic_encode(&logic, payload, sizeof payload);
+    PROMISE(size > 0 && logic_decode(payload, size, &again));
+    PROMISE(logic_check(&again, &wrong) == logic_check(&logic, &wrong));
+    PROMISE(logic_encode(&logic, payload, size - 1) == -1);
+    signals_rule(signals, &again);
+}
+
+static void take(struct script *script, struct signals *signals, int64_t now_us) {
+    static struct batch batch, again;
+    uint8_t payload[3000];
+    batch.base_us = now_us;
+    batch.seen = signals->readings.taken - next(script);
+    batch.count = next(script) % 40;
+    uint8_t track = (uint8_t)(SOURCE_OF_PIECES + next(script) % REPORT_TRACKS);
+    uint32_t number = signals->tracks[track - SOURCE_OF_PIECES].next - next(script) % 3;
+    int64_t at_us = now_us + next(script) % 16 - 4;
+    for (int32_t i = 0; i < batch.count; i++) {
+        uint8_t form = next(script);
+        int64_t took_us = (int64_t)(next(script) % 64) << (form >> 4);
+        batch.pieces[i].track = track;
+        batch.pieces[i].number = number++;
+        batch.pieces[i].piece = (struct wanted_piece){.has_start = form & 1,
+                                                      .has_from = form & 2,
+                                                      .start_us = at_us,
+                                                      .end_us = at_us + took_us - !(form & 12),
+                                                      .from = next_word(script),
+                                                      .to = next_word(script)};
+        at_us += took_us;
+    }
+    int32_t size = batch_encode(&batch, payload, sizeof payload);
+    PROMISE(size > 0 && batch_decode(payload, size, &again));
+    PROMISE(batch_encode(&batch, payload, next(script)) <= 255);
+    signals_take(signals, &again, now_us);
+}
+
+static void take_raw(struct script *script, struct signals *signals, int64_t now_us) {
+    static struct batch batch;
+    static struct report report;
+    struct logic logic;
+    uint8_t bytes[256];
+    int32_t what = next(script) % 3, size = next(script);
+    for (int32_t i = 0; i < size; i++)
+        bytes[i] = next(script);
+    if (what == 0 && batch_decode(bytes, size, &batch))
+        signals_take(signals, &batch, now_us);
+    if (what == 1 && logic_decode(bytes, size, &logic))
+        signals_rule(signals, &logic);
+    if (what == 2)
+        report_decode(bytes, size, &report);
+}
+
+static void promise(const struct signals *signals) {
+    static struct report report, again;
+    uint8_t payload[1000];
+    signals_report(signals, &report);
+    int32_t size = report_encode(&report, payload, sizeof payload);
+    PROMISE(size > 0 && report_decode(payload, size, &again));
+    PROMISE(report.count == again.count);
+    for (int32_t i = 0; i < report.count; i++)
+        PROMISE(report.readings[i].time_us == again.readings[i].time_us &&
+                report.readings[i].value == again.readings[i].value);
+    PROMISE(report_encode(&report, payload, size - 1) == -1);
+    PROMISE(signals->readings.taken - signals->readings.kept <= READINGS);
+    for (int32_t i = 0; i < signals->graph.count; i++)
+        PROMISE(signals->graph.nodes[i].a < SOURCE_OF_NODES + i);
+    for (int32_t i = 0; i < REPORT_TRACKS; i++)
+        PROMISE(signals->tracks[i].next == 0 ||
+                signals->tracks[i].current < signals->tracks[i].next);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
+    static struct signals signals;
+    static struct board board;
+    struct script script = {data, length, 0};
+    struct headway_clock clock = {.system_us = 1700000000000000, .count_us = 1000000};
+    if (length > 3000)
+        return 0;
+    memset(&signals, 0, sizeof signals);
+    board = begun.board;
+    while (script.at < script.size) {
+        uint8_t what = next(&script) % 16;
+        if (what < 3) {
+            rule(&script, &signals);
+        } else if (what < 6) {
+            take(&script, &signals, clock.system_us);
+        } else if (what < 7) {
+            take_raw(&script, &signals, clock.system_us);
+        } else if (what < 8) {
+            clock.rate_q32 = next_word(&script) % CLOCK_RATE_MAX_Q32;
+        } else if (what < 9) {
+            signals_restart(&signals);
+        } else {
+            for (int32_t i = 0; i < SOURCE_OF_PIECES; i++)
+                signals.values[i] = next_word(&script);
+            signals.values[INPUT_STATE] = next_word(&script);
+            for (int32_t periods = next(&script) % 32; periods >= 0; periods--) {
+                clock.system_us += 1000;
+                clock.count_us += 1000;
+                board_advance(&board, board.true_us + 1000);
+                signals_step(&signals, &board, &clock, 1000, what != 9);
+                for (int32_t i = 0; i < REPORT_TRACKS; i++)
+                    PROMISE(signals.values[SOURCE_OF_PIECES + i] ==
+                            pieces_at(&signals.tracks[i], clock.system_us));
+                PROMISE((signals.ruled && what != 9) || (signals.on == 0 && board.pwm_q15[0] == 0));
+            }
+        }
+        promise(&signals);
+    }
+    return 0;
+}
