@@ -27,9 +27,7 @@ from headway.devices.remote import Points, Remote
 from headway.models.codegen import Array, Call, compile_functions
 
 OSQP_SIGINT = 10  # a Ctrl-C that OSQP has caught
-OSQP_TOLERANCE = (
-    1e-3  # in scaled units: of 1e-3 mrad, and of a thousandth of what the problem moves by
-)
+OSQP_TOLERANCE = 3e-4  # in scaled units: of 3e-4 mrad, and in parts of what the problem moves by
 HPIPM_TOLERANCE = 1e-4  # in scaled units
 HPIPM_ITERATIONS = 30
 
