@@ -72,7 +72,7 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
     time_s = arrays["truth_s"][after] - at
     position, velocity = arrays["truth_position"][after], arrays["truth_velocity"][after]
     axes = range(position.shape[1])
-    rests = [float(time_s[np.flatnonzero(np.abs(velocity[:, a]) > STILL)[-1]]) for a in axes]
+    rests = [float(max(time_s[np.abs(velocity[:, a]) > STILL], default=0.0)) for a in axes]
     rested = time_s >= max(rests) + SETTLED_S
     room = min(
         float(min(position[:, a].min() - axis.lowest, axis.highest - position[:, a].max()))
