@@ -36,7 +36,9 @@ def nobody_jumps(lockstep: Lockstep) -> None:
     one_ms = np.diff(time_us) == 1000  # the host's time, which has jumped
     limits = [axis.acceleration_limit for axis in lockstep.config.machine.axes]
     assert (steps[one_ms] <= limits).all()
-    assert np.abs(velocity[-100:]).max() < 1e-3
+    # At rest: an axis that creeps in its friction gets a blow of a millisecond at each count.
+    assert np.abs(velocity[-100:]).max() < 0.02
+    assert np.ptp(arrays["truth_position"][-100:], axis=0).max() < 1e-4
     for axis, position in zip(
         lockstep.config.machine.axes, arrays["truth_position"].T, strict=True
     ):
