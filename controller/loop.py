@@ -57,7 +57,7 @@ class Loop:
     ) -> None:
         axes = config.machine.axes
         machine.require_axes(tuple(a.joint for a in axes))
-        self._config, self._remotes, self._task = config, remotes, reference
+        self._config, self._remotes, self.task = config, remotes, reference
         self._recorder = recorder
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
@@ -236,9 +236,9 @@ class Loop:
     def _enter(self, position: Array, start_s: float) -> None:
         """From rest at a position onto the task's reference; how often a continuous axis has turned
         before makes no difference."""
-        way = position - self._task.at(np.array([start_s]))[0][0]
+        way = position - self.task.at(np.array([start_s]))[0][0]
         turns = whole_turns(self._config.machine.axes, way)
-        self._reference = Entry(self._task, position, start_s, ENTRY_S, turns)
+        self._reference = Entry(self.task, position, start_s, ENTRY_S, turns)
 
     def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
         """Points by axis, and their roll-out, if there is a plan."""

@@ -16,6 +16,7 @@ from headway.cli.simulation import Simulation
 from headway.cli.truth import with_truth
 from headway.configs.load import load_config
 from headway.controller.record.reader import read_run
+from headway.controller.reference import task_reference
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 CONFIG = str(CONFIGS / "arm2.yaml")
@@ -46,7 +47,9 @@ def lockstep_rms() -> np.ndarray:
 def tracking_rms(run: Path, plant: Path) -> np.ndarray:
     """From the two records of a run and of the plant that it has controlled."""
     record = read_run(run)
-    arrays = with_truth(record.arrays, read_run(plant).arrays, record.config())
+    arrays = with_truth(
+        record.arrays, read_run(plant).arrays, task_reference(record.config(), run.parent)
+    )
     judged = (arrays["truth_s"] >= 0.5) & (arrays["truth_s"] <= arrays["tick_s"][-1])
     error = 1e3 * (arrays["truth_position"] - arrays["truth_reference"])[judged]
     return np.sqrt(np.mean(error**2, axis=0))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from headway.cli.summary import summarize
 from headway.configs.load import load_config
 from headway.controller.live import Live
 from headway.controller.loop import Loop
@@ -128,3 +129,16 @@ def test_a_device_that_falls_silent_ends_it() -> None:
     with pytest.raises(DeviceError, match="q2: the device no longer answers"):
         bench.live.run()
     assert [node.state for node in bench.world.plant.nodes] == [7, 7]
+
+
+def test_any_task_is_summed_up_without_the_truth() -> None:
+    """By what the encoders told, as of a machine that nobody sees from outside."""
+    bench = Bench(
+        lambda _: 0,
+        "task={kind: regulate, target_rad_or_m: [1.0, 0.5]}",
+        "sim.start_rad_or_m=[0.9, 0.6]",
+    )
+    bench.live.run()
+    config, arrays = bench.live.config, bench.record.arrays()
+    tracking = summarize(config, bench.live, arrays)["tracking"]
+    assert tracking["by"] == "encoders" and max(tracking["max"]) < 2

@@ -195,7 +195,7 @@ def test_a_bad_answer_is_refused_and_the_old_plan_runs_on(
     lock, taken = run_with(HOSTILE[kind], bad, monkeypatch)
     assert [i for i, good in enumerate(taken) if not good] == bad
     record = lock.record.arrays()
-    error = record["truth_position"] - lock.loop._task.at(record["truth_s"])[0]
+    error = record["truth_position"] - lock.loop.task.at(record["truth_s"])[0]
     during = (record["truth_s"] > 0.6) & (record["truth_s"] < 1.95)
     assert np.abs(error[during]).max() < 0.05
     late = during & (record["truth_s"] > 1.3)

@@ -105,8 +105,9 @@ def bandwidth(experiment: Experiment) -> dict[str, float]:
         overrides.append(f"task.axes.{axis}.offset_rad={position}")
         overrides.append(f"task.axes.{axis}.amplitude_rad={1 if axis == joint else 0}")
     overrides.append(f"sim.start_rad_or_m=[{posture[0]}, {posture[1]}]")
-    # These take the places of the classes of those names.
-    world.Sines, loop.Feedforward = Swing, Held  # type: ignore[attr-defined]
+    # These take the places of what has those names.
+    world.task_reference = lambda config, _: Swing(config.task)  # type: ignore[attr-defined]
+    loop.Feedforward = Held  # type: ignore[attr-defined]
     gain_tracks.Schedule = Alone if gains == ALONE else Schedule  # type: ignore[misc]
     simulation = Simulation(load_config(CONFIGS / "arm2.yaml", overrides), CONFIGS)
     simulation.run()

@@ -30,14 +30,15 @@ def live(
     """
     from headway.controller.live import Live
     from headway.controller.loop import Loop
-    from headway.controller.reference import Sines
+    from headway.controller.reference import task_reference
     from headway.models.machine import load_machine
 
     with linked.machine(path, config, changes, folder / PLANT_NAME) as reached:
         remotes = reached.remotes()
         try:
             machine = load_machine((path.parent / config.machine.model).resolve())
-            loop = Loop(config, machine, remotes, Sines(config.task), record)
+            task = task_reference(config, path.parent)
+            loop = Loop(config, machine, remotes, task, record)
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
         clock = WallClock(linked.factor)

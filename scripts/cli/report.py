@@ -92,13 +92,15 @@ def _read(path: Path) -> Run:
 
     from headway.cli.truth import has_truth, with_truth
     from headway.controller.record.reader import RecordError, read_run
+    from headway.controller.reference import task_reference
 
     try:
         run = read_run(path)
         config = run.config()
         plant = run.path.with_name(PLANT_NAME)
         if run.messages["tick"] and plant.exists():
-            run.arrays = with_truth(run.arrays, read_run(plant).arrays, config)
+            task = task_reference(config, run.path.parent)
+            run.arrays = with_truth(run.arrays, read_run(plant).arrays, task)
     except RecordError as error:
         raise Failure(ExitCode.USAGE, str(error)) from error
     except ValidationError as error:
@@ -107,6 +109,8 @@ def _read(path: Path) -> Run:
             f"{path}: its config is of another version of headway: use the one that wrote it, "
             f"{run.versions.get('headway')}",
         ) from error
+    except ValueError as error:
+        raise Failure(ExitCode.USAGE, f"{path}: {error}") from error
     if run.messages["tick"] and not has_truth(run.arrays):
         raise Failure(
             ExitCode.USAGE,

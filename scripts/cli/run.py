@@ -203,7 +203,7 @@ def _summary(driver: Driver, recording: Recording, plant: Path) -> dict[str, Any
         run = recording.run()
         arrays = run.arrays
         if plant.exists():
-            arrays = with_truth(arrays, read_run(plant).arrays, driver.config)
+            arrays = with_truth(arrays, read_run(plant).arrays, driver.loop.task)
     except RecordError as error:
         raise Failure(ExitCode.RECORD, f"{error} ({recording.failure})") from error
     if not run.messages["tick"]:

@@ -14,7 +14,7 @@ from headway.cli.versions import versions
 from headway.configs.schema import Config
 from headway.controller.loop import Loop
 from headway.controller.record.recorder import Recorder
-from headway.controller.reference import ENTRY_S, Sines
+from headway.controller.reference import ENTRY_S, Reference
 from headway.devices.axis import AxisUnits, whole_turns
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def summarize(config: Config, driver: Driver, arrays: Arrays) -> dict[str, Any]:
         "rate_hz": 1e6 / config.loop.knot_us,
         "margin_us": config.loop.margin_us,
         "axes": [axis.joint for axis in config.machine.axes],
-        "tracking": _tracking(config, arrays),
+        "tracking": _tracking(config, driver.loop.task, arrays),
         "estimate": _estimate(driver, arrays),
         "torque": _torque(config, arrays),
         "compute_us": _percentiles(arrays["timing_compute_us"], p50=50, p99=99, p999=99.9, max=100),
@@ -115,22 +115,22 @@ def judged(time_s: Array, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.bool
     return np.logical_and(time_s >= ENTRY_S, time_s <= end_s)
 
 
-def _tracking(config: Config, arrays: Arrays) -> dict[str, Any]:
+def _tracking(config: Config, task: Reference, arrays: Arrays) -> dict[str, Any]:
     """The plant's true position against the task's reference, without whole turns between them
     where an axis is continuous; where nobody knows the truth, what the encoders told."""
     units = [f"m{axis.unit}" for axis in config.machine.axes]
     if not has_truth(arrays):
-        return _followed(config, arrays) | {"unit": units, "by": "encoders"}
+        return _followed(config, task, arrays) | {"unit": units, "by": "encoders"}
     in_task = judged(arrays["truth_s"], arrays)
     way = (arrays["truth_position"] - arrays["truth_reference"])[in_task]
     error = 1e3 * (way - whole_turns(config.machine.axes, way))
     return {"rms": _rms(error), "max": _max(error), "unit": units, "by": "truth"}
 
 
-def _followed(config: Config, arrays: Arrays) -> dict[str, Any]:
+def _followed(config: Config, task: Reference, arrays: Arrays) -> dict[str, Any]:
     errors = []
     for i, (time_s, position) in enumerate(told_positions(config, arrays)):
-        way = (position - Sines(config.task).at(time_s)[0][:, i])[judged(time_s, arrays)]
+        way = (position - task.at(time_s)[0][:, i])[judged(time_s, arrays)]
         axis = config.machine.axes[i : i + 1]
         errors.append(1e3 * (way[:, None] - whole_turns(axis, way[:, None])))
     return {"rms": [_rms(e)[0] for e in errors], "max": [_max(e)[0] for e in errors]}

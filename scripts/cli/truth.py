@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Config
 from headway.controller.record.columns import Arrays
-from headway.controller.reference import Sines
+from headway.controller.reference import Reference
 
 Array = NDArray[np.float64]
 
 CHANNELS = "truth_", "servo_"
 
 
-def with_truth(arrays: Arrays, plant: Arrays, config: Config) -> Arrays:
+def with_truth(arrays: Arrays, plant: Arrays, task: Reference) -> Arrays:
     """The run's arrays with the plant's truth and servos, from the task's beginning on, in the
     run's task time. Both count the same system time."""
     start_us = int(arrays["task_start_us"][0])
@@ -25,7 +25,7 @@ def with_truth(arrays: Arrays, plant: Arrays, config: Config) -> Arrays:
             joined[name] = values[plant[f"{channel}us"] >= start_us]
     for channel in CHANNELS:
         joined[f"{channel}s"] = (joined[f"{channel}us"] - start_us) * 1e-6
-    joined["truth_reference"] = Sines(config.task).at(joined["truth_s"])[0]
+    joined["truth_reference"] = task.at(joined["truth_s"])[0]
     return joined
 
 
