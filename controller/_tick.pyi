@@ -62,7 +62,6 @@ class Feedback:
     iterations: int
     residual: float
     accepted: bool
-    rounds: int
     solve_us: float
 
 class Encoding:
@@ -75,7 +74,7 @@ class Encoding:
         next: Array,
         over: Array,
     ) -> None: ...
-    def run(self) -> int: ...
+    def run(self) -> None: ...
 
 class Tick:
     def __init__(

@@ -11,6 +11,7 @@ a spatial arm of three joints took most of a minute to compile.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -36,11 +37,10 @@ class Equations:
         x, u, d = ca.SX.sym("x", 2 * n), ca.SX.sym("u", n), ca.SX.sym("d", n)
         tracks, law = ca.SX.sym("tracks", TRACK_ROWS * n), ca.SX.sym("law", LAW_ROWS * n)
         q, v, a = x[:n], x[n:], ca.SX.sym("a", n)
-        r, rate, f, kp, damping = ca.vertsplit(tracks, n)
         limit, coulomb = ca.vertsplit(law, n)
 
         friction = coulomb * ca.tanh(v / COULOMB_SPEED)
-        torque = f + kp * (r - q) + damping * (rate - v)
+        torque = servo_torque(ca.vertsplit(tracks, n), q, v)
         servo = ca.fmin(ca.fmax(torque, -limit), limit)
 
         def slope(name: str, drive: Any, control: Any) -> Any:
@@ -64,6 +64,13 @@ class Equations:
         rate, by_state, by_torque = slope
         s = xs[:, 1:]
         return ca.horzcat(rate, ca.vertcat(s[self.n :, :], by_state @ s + by_torque @ by_control))
+
+
+def servo_torque(tracks: Sequence[Any], q: Any, v: Any) -> Any:
+    """Of the motors, unclipped, with q and v under tracks [r, r', f, Kp, Kd + c]: expressions or
+    numbers of any shape."""
+    r, rate, f, kp, damping = tracks
+    return f + kp * (r - q) + damping * (rate - v)
 
 
 def runge_kutta(derivative: Any, x: Any, start: Any, middle: Any, end: Any, dt: Any) -> Any:

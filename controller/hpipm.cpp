@@ -44,11 +44,9 @@ void Hpipm::set_constant() {
     int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size();
     const double *state = p_.state.data(), *torque = p_.torque.data(), *step = p_.step.data();
     double *m = buffer_.data();
-    std::vector<int> boxes, slacks;
+    std::vector<int> boxes;
     for (int j = 0; j < 2 * n; ++j)
         boxes.push_back(n + j); // of [q; v; u]
-    for (int j = 0; j < soft; ++j)
-        slacks.push_back(j);
     for (int i = 0; i <= count; ++i) {
         int nx = i ? 3 * n : 0, nu = i == 0 ? 2 * n : i < count ? n : 0;
         int first_u = i ? 2 * n : 0; // of u_i, in x or, at stage 0, in u
@@ -84,9 +82,9 @@ void Hpipm::set_constant() {
         }
         if (i && soft) { // the last rows of the general constraints
             int changes = i < count ? n : 0;
-            std::vector<int> softened(slacks);
-            for (int &j : softened)
-                j += 2 * n + changes; // behind the boxes
+            std::vector<int> softened;
+            for (int j = 0; j < soft; ++j)
+                softened.push_back(2 * n + changes + j); // behind the boxes
             d_ocp_qp_set_idxs(i, softened.data(), &qp_);
             std::vector<double> weight;
             for (int axis : p_.bounded)

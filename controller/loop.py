@@ -135,9 +135,7 @@ class Loop:
                 mine = [remote.plan_packet(outbox.first_knot, points[device], sent_us)]
             else:
                 mine = remote.stamp_packets(sent_us)
-            if (command := remote.command_packet()) is not None:
-                mine.append(command)
-            packets += [(device, packet) for packet in mine]
+            packets += [(device, packet) for packet in [*mine, *remote.questions()]]
         for device, packet in packets:
             link.send(device, packet, sent_us)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))
@@ -242,11 +240,11 @@ class Loop:
 
     def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
         """Points by axis, and their roll-out, if there is a plan."""
-        commit_us = commit_knot * self._knot_us - self.start_us
         assert tick.commit is not None
         n = self._prediction.n
         state = tick.commit.state(n)
         if self._mpc is None:
+            commit_us = commit_knot * self._knot_us - self.start_us
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
             return self._encoder.plan(motion, self._remotes, commit_knot, state, self._disturbance)

@@ -139,7 +139,6 @@ NB_MODULE(_tick, m) {
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })
         .def_ro("residual", &Feedback::residual)
         .def_ro("accepted", &Feedback::accepted)
-        .def_ro("rounds", &Feedback::rounds)
         .def_ro("solve_us", &Feedback::solve_us);
     nb::class_<Encoding>(m, "Encoding", "From a motion to tracks, and to what servos make of them.")
         .def(
@@ -149,7 +148,7 @@ NB_MODULE(_tick, m) {
                Array over) { new (self) Encoding{encode, rollout, relieve, relief, next, over}; },
             "encode"_a, "rollout"_a, "relieve"_a, "relief"_a, "next"_a, "over"_a,
             nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>())
-        .def("run", &Encoding::run, free_gil(), "Returns the rounds it took.");
+        .def("run", &Encoding::run, free_gil());
     nb::class_<Tick>(m, "Tick", "A problem's way from an estimate to tracks.")
         .def(
             "__init__",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import signal
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -61,16 +62,15 @@ class Mpc:
         pool |= {name: encoder.pool[name] for name in ("position", "velocity", "torque")}
         pool["start"] = encoder.pool["x"]
         pool["parameters"] = ocp.parameters[:, None]
-        pool["constant"] = ocp.constraints.data[:, None]
-        pool["scale"] = ocp.dynamics_scale.reshape(-1, 1)
         linearize = prediction.call("linearize", pool)
         pool["dt"][...] = ocp.interval_s
-        assemble, vectors, judge = (
-            Call(library, name, pool) for name in ("assemble", "vectors", "judge")
-        )
-        pool["entries"][...] = pool["constant"]
-        solver = _osqp(config, ocp, pool) if config.mpc.backend == "osqp" else _hpipm(ocp, pool)
-        before = [linearize.bound, assemble.bound]
+        vectors, judge = (Call(library, name, pool) for name in ("vectors", "judge"))
+        before = [linearize.bound]
+        if config.mpc.backend == "osqp":  # by stages it is not needed
+            before.append(assembly(library, ocp, pool).bound)
+            solver = _osqp(config, ocp, pool)
+        else:
+            solver = _hpipm(ocp, pool)
         answer = judge.bound, pool["residual"], encoder.encoding
         self._tick = Tick(before, solver, vectors.bound, pool["z"], *answer)
         self._along = np.zeros((knots + 1, n))  # the positions of the guess
@@ -116,6 +116,14 @@ class Mpc:
         plan = (self.encoder.points(), self.encoder.rolled()) if done.accepted else None
         times = self._prepare_us, done.solve_us
         return Solution(done.status, done.iterations, done.residual, plan, *times)
+
+
+def assembly(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
+    """The linearized intervals' way into the constraints' entries."""
+    pool["constant"] = ocp.constraints.data[:, None]
+    pool["scale"] = ocp.dynamics_scale.reshape(-1, 1)
+    pool["entries"] = pool["constant"].copy(order="F")
+    return Call(library, "assemble", pool)
 
 
 def _osqp(config: Config, ocp: Ocp, pool: dict[str, Array]) -> Solver:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
-from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta
+from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta, servo_torque
 from headway.models.codegen import Call, compile_functions, named_function
 from headway.models.machine import Machine
 
@@ -51,9 +51,8 @@ class ServoLaw:
     def torque(self, x: Array, tracks: Array) -> Array:
         """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 5n)."""
         n = len(self.limit)
-        r, rate, f, kp, damping = (tracks[..., i * n : (i + 1) * n] for i in range(TRACK_ROWS))
-        q, v = x[..., :n], x[..., n:]
-        torque: Array = f + kp * (r - q) + damping * (rate - v)
+        rows = [tracks[..., i * n : (i + 1) * n] for i in range(TRACK_ROWS)]
+        torque: Array = servo_torque(rows, x[..., :n], x[..., n:])
         return torque
 
 

@@ -13,14 +13,14 @@ static double now_us() {
     return duration<double, std::micro>(steady_clock::now().time_since_epoch()).count();
 }
 
-int Encoding::run() const {
+void Encoding::run() const {
     std::fill_n(relief.data(), relief.size(), 0.0);
     for (int round = 1;; ++round) {
         generated_run(&encode.generated);
         generated_run(&rollout.generated);
         generated_run(&relieve.generated);
         if (!(over.data()[0] > 0) || round == ROUNDS)
-            return round;
+            return;
         std::copy_n(next.data(), next.size(), relief.data());
     }
 }
@@ -56,6 +56,6 @@ Feedback Tick::feedback() const {
         solver.forget();
     f.solve_us = now_us() - began;
     if (f.accepted)
-        f.rounds = encoding.run();
+        encoding.run();
     return f;
 }

@@ -14,14 +14,13 @@ struct Encoding {
     Array relief, next; // what is taken off the torque track, and what should be
     Array over;         // torque beyond the limits, at most [Nm]; 0 and less: none
 
-    int run() const; // rounds
+    void run() const;
 };
 
 struct Feedback {
     Answer answer;
     double residual = INFINITY; // largest violation of a constraint, in parts of its tolerance
     bool accepted = false;
-    int rounds = 0;
     double solve_us = 0; // wall clock, for the record only
 };
 

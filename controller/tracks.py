@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Loop
 from headway.controller._tick import Encoding
-from headway.controller.equations import TRACK_ROWS
+from headway.controller.equations import TRACK_ROWS, servo_torque
 from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction
@@ -260,8 +260,7 @@ def _relieve(n: int, knots: int) -> ca.Function:
     inputs = {name: ca.MX.sym(name, *size) for name, size in sizes.items()}
     start, after, tracks, relief, limit = inputs.values()
     states = ca.horzcat(start, after)
-    r, rate, f, kp, damping = ca.vertsplit(tracks, n)
-    torque = f + kp * (r - states[:n, :]) + damping * (rate - states[n:, :])
+    torque = servo_torque(ca.vertsplit(tracks, n), states[:n, :], states[n:, :])
     free, ceiling = torque[:, FIXED_KNOTS:], ca.repmat(limit, 1, knots + 1 - FIXED_KNOTS)
     excess = free - ca.fmin(ca.fmax(free, -0.995 * ceiling), 0.995 * ceiling)
     # A little more than the excess, since the fit smoothes.

@@ -17,6 +17,7 @@ from headway.controller._tick import Answer, Stranger
 from headway.controller.mpc import Mpc, Solution
 from headway.controller.ocp import Limits, Ocp
 from headway.controller.tick import Phase
+from headway.models.codegen import compile_functions
 from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
@@ -33,9 +34,11 @@ def lockstep(*overrides: str) -> Lockstep:
 class Problem:
     """One tick's problem, and what its solver made of it."""
 
-    def __init__(self, ocp: Ocp, pool: dict[str, Array], solution: Solution) -> None:
+    def __init__(
+        self, ocp: Ocp, pool: dict[str, Array], entries: Array, solution: Solution
+    ) -> None:
         self.constraints = ocp.constraints.copy()
-        self.constraints.data[:] = pool["entries"][:, 0]
+        self.constraints.data[:] = entries[:, 0]
         self.vectors = [pool[name][:, 0].copy() for name in ("gradient", "lower", "upper")]
         self.hessian, self.z = ocp.hessian, pool["z"][:, 0].copy()
         self.solution = solution
@@ -66,11 +69,15 @@ def problems(backend: str) -> list[Problem]:
     controller = lock.loop._mpc
     assert controller is not None
     ocp = Ocp(lock.config, Limits.of(lock.config))
+    knots = lock.config.mpc.horizon_us // lock.config.loop.knot_us
+    assemble = mpc.assembly(
+        compile_functions("mpc", ocp.functions(knots)), ocp, dict(controller._pool)
+    )
     solve = controller.solve
 
     def solve_seen(*arguments: Any) -> Solution:
         solution = solve(*arguments)
-        seen.append(Problem(ocp, controller._pool, solution))
+        seen.append(Problem(ocp, controller._pool, assemble.run()[0], solution))
         return solution
 
     controller.solve = solve_seen  # type: ignore[method-assign]
