@@ -1,34 +1,19 @@
 """The firmware on a Cortex-M0, under qemu: the vectors give the same bytes as on the host."""
 
-import importlib.util
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from scripted import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 VECTORS = ROOT / "tests" / "vectors"
 
 
-def load(name: str) -> ModuleType:
-    """A module of scripts/cortex, which is no package."""
-    folder = str(ROOT / "scripts" / "cortex")
-    sys.path.insert(0, folder)
-    try:
-        spec = importlib.util.spec_from_file_location(f"cortex_{name}", f"{folder}/{name}.py")
-        assert spec and spec.loader
-        module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(folder)
-    return module
-
-
-tools, vectors = load("tools"), load("vectors")
+tools, vectors = load_script("cortex/tools"), load_script("cortex/vectors")
 
 
 def require(*names: str) -> None:

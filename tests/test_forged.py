@@ -3,21 +3,14 @@
 `scripts/forged.py --long` throws a million; here are enough of each kind to see that it can tell.
 """
 
-import importlib.util
-import sys
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
+from scripted import load_script
 
 from headway.controller.tick import DeviceError
 
-ROOT = Path(__file__).resolve().parents[1]
-spec = importlib.util.spec_from_file_location("forged", ROOT / "scripts" / "forged.py")
-assert spec is not None and spec.loader is not None
-forged = importlib.util.module_from_spec(spec)
-sys.modules["forged"] = forged
-spec.loader.exec_module(forged)
+forged = load_script("forged")
 
 
 def test_none_is_taken_and_each_is_counted() -> None:

@@ -1,6 +1,5 @@
 """scripts/fuzz: the targets live, reach what they are about, and find a bug that is planted."""
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripted import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scripts" / "fuzzing"
@@ -30,13 +30,8 @@ BUGS = {
 @pytest.fixture(scope="module")
 def fuzzing() -> Iterator[dict[str, ModuleType]]:
     """The tool's modules by name. Skips without clang; on the build server fails."""
-    sys.path.insert(0, str(FOLDER))
-    spec = importlib.util.spec_from_file_location("fuzzing", FOLDER / "__main__.py")
-    assert spec and spec.loader
-    main = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(main)
+    main = load_script("fuzzing/__main__")
     modules = {"main": main, "build": sys.modules["build"], "seeds": sys.modules["seeds"]}
-    sys.path.remove(str(FOLDER))
     command = modules["build"].missing()
     if command and os.environ.get("HEADWAY_CI"):
         pytest.fail(command)

@@ -3,28 +3,18 @@
 The plans, the oracle and the runs of a million are in scripts/gate_proof.py.
 """
 
-import importlib.util
 import shutil
-import sys
 from fractions import Fraction
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from scripted import load_script
 
 from headway.firmware import _core
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def load_script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
-    assert spec and spec.loader
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 proof = load_script("gate_proof")

@@ -1,18 +1,15 @@
 """The faults that `scripts/test planted` plants still have their place and their test."""
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
+
+from scripted import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_every_bug_has_one_place_and_a_test() -> None:
-    spec = importlib.util.spec_from_file_location("planted", ROOT / "scripts" / "planted.py")
-    assert spec and spec.loader
-    planted = sys.modules["planted"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(planted)
+    planted = load_script("planted")
     assert len(planted.BUGS) >= 8
     for bug in planted.BUGS:
         assert (ROOT / bug.file).read_text().count(bug.old) == 1, bug.name

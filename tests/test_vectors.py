@@ -4,9 +4,7 @@ Nothing here calls the firmware but through the judge. The oracles are pure Pyth
 codecs byte by byte, splines by de Boor's algorithm in fractions, the gate from its definition.
 """
 
-import importlib.util
 import subprocess
-import sys
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -15,9 +13,9 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from scripted import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 VECTORS = ROOT / "tests" / "vectors"
@@ -25,20 +23,6 @@ FILES = sorted(VECTORS.glob("*.txt"))
 INT32_MAX = (1 << 31) - 1
 TIME_MAX = 1 << 60
 SINKS = ("position", "torque", "kp", "ki", "kd")
-
-
-def load(name: str) -> ModuleType:
-    """A module of scripts/vectors, which is no package."""
-    folder = str(ROOT / "scripts" / "vectors")
-    sys.path.insert(0, folder)
-    try:
-        spec = importlib.util.spec_from_file_location(f"vectors_{name}", f"{folder}/{name}.py")
-        assert spec and spec.loader
-        module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(folder)
-    return module
 
 
 @dataclass(frozen=True)
@@ -78,7 +62,9 @@ def read(path: Path) -> Iterator[Vector]:
 
 @pytest.fixture(scope="session")
 def judge(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    program: Path = load("judge").compile_judge(tmp_path_factory.mktemp("judge") / "judge")
+    program: Path = load_script("vectors/judge").compile_judge(
+        tmp_path_factory.mktemp("judge") / "judge"
+    )
     return program
 
 
@@ -88,7 +74,7 @@ def test_the_firmware_agrees(judge: Path) -> None:
 
 
 def test_nothing_in_them_is_undefined(tmp_path: Path) -> None:
-    module = load("judge")
+    module = load_script("vectors/judge")
     options = [*module.SANITIZE, "-DJUDGE_CPU_S=60"]
     program = module.compile_judge(tmp_path / "judge", options)
     done = subprocess.run(
@@ -98,7 +84,7 @@ def test_nothing_in_them_is_undefined(tmp_path: Path) -> None:
 
 
 def test_the_files_are_what_the_generator_writes(judge: Path) -> None:
-    module = load("__main__")
+    module = load_script("vectors/__main__")
     assert {path.stem for path in FILES} == set(module.KINDS)
     for path in FILES:
         assert module.answered(judge, path.stem) == path.read_text(), path.stem

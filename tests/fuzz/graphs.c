@@ -2,6 +2,7 @@
 // pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
 // outputs are off where nothing rules them, and what is told can be read.
 #include "node.h"
+#include "script.h"
 
 static struct node begun;
 
@@ -12,24 +13,12 @@ int LLVMFuzzerInitialize(int *argc, char ***argv) {
     return 0;
 }
 
-struct script {
-    const uint8_t *bytes;
-    size_t size, at;
-};
-
-static uint8_t next(struct script *script) {
-    return script->at < script->size ? script->bytes[script->at++] : 0;
-}
-
 static int32_t next_word(struct script *script) {
     static const int32_t edges[] = {0, 1, -1, 65536, INT32_MAX, INT32_MIN};
     uint8_t what = next(script);
     if (what % 8 < 6)
         return edges[what % 8];
-    uint32_t word = 0;
-    for (int32_t i = 0; i < 4; i++)
-        word = word << 8 | next(script);
-    return (int32_t)word;
+    return next_whole(script);
 }
 
 static uint8_t next_source(struct script *script) { return (uint8_t)(next(script) % 52); }

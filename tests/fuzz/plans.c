@@ -2,6 +2,7 @@
 // points, commands, raw payloads, time; all of it signed. Whatever it says, what may move is within
 // the limits.
 #include "node.h"
+#include "script.h"
 
 static struct node begun;
 static struct host begun_host;
@@ -12,30 +13,14 @@ int LLVMFuzzerInitialize(int *argc, char ***argv) {
     return 0;
 }
 
-struct script {
-    const uint8_t *bytes;
-    size_t size, at;
-};
-
-static uint8_t next(struct script *script) {
-    return script->at < script->size ? script->bytes[script->at++] : 0;
-}
-
 static int32_t next_small(struct script *script) { return (int8_t)next(script); }
-
-static int32_t next_word(struct script *script) {
-    uint32_t word = 0;
-    for (int32_t i = 0; i < 4; i++)
-        word = word << 8 | next(script);
-    return (int32_t)word;
-}
 
 // Often one near an end of some range.
 static int32_t next_edge(struct script *script) {
     static const int32_t edges[] = {0, 1 << 18, 1 << 25, 1 << 26, (1 << 30) - 1, INT32_MAX - 128};
     uint8_t what = next(script);
     if (what % 8 > 5)
-        return next_word(script);
+        return next_whole(script);
     int32_t value = edges[what % 8] + next_small(script) / 16;
     return what & 128 ? -value : value;
 }
@@ -57,7 +42,7 @@ static void draw_points(struct script *script, const struct device *device, cons
         if (plan->first_knot + i < free_knot + live) {
             step = track_point(track, plan->first_knot + i) - point;
         } else if (any) {
-            step = next_word(script);
+            step = next_whole(script);
         } else if (i < plan->count - 3) {
             step += (int64_t)next_small(script) * (1LL << scale);
         } else {
@@ -75,7 +60,7 @@ static void send_plan(struct script *script, struct host *host, struct node *nod
     plan.number = host->number + (uint32_t)next_small(script);
     host->number = plan.number > host->number ? plan.number : host->number;
     plan.epoch = (uint16_t)(device->status.epoch + (next(script) < 250 ? 0 : next_small(script)));
-    plan.first_knot = knot + (next(script) < 250 ? next_small(script) : next_word(script));
+    plan.first_knot = knot + (next(script) < 250 ? next_small(script) : next_whole(script));
     plan.tracks = next(script) < 240 ? 31 : next(script) % 32;
     plan.count = (uint8_t)(next(script) % PLAN_POINTS_MAX + 1);
     for (int32_t sink = 0; sink < TRACK_COUNT; sink++)
@@ -121,7 +106,7 @@ static void judge(struct script *script) {
                                  .difference_max = next_edge(script),
                                  .second_difference_max = next_edge(script),
                                  .stop_difference = next_edge(script)};
-    int64_t knot = next_word(script), first_knot = knot + next_small(script);
+    int64_t knot = next_whole(script), first_knot = knot + next_small(script);
     if (!gate_limits_valid(&limits))
         return;
     int32_t rest = next_edge(script);
@@ -156,7 +141,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                 fuzz_poll(&node);
         } else if (what < 12) {
             enum command_kind kind = (enum command_kind)(next(&script) % (COMMAND_KINDS + 1));
-            fuzz_command(&host, &node.board, kind, next_word(&script), next(&script));
+            fuzz_command(&host, &node.board, kind, next_whole(&script), next(&script));
         } else if (what < 13) {
             send_raw(&script, &host, &node.board);
         } else if (what < 14) {
