@@ -164,16 +164,12 @@ def _show(config: Config, measured: Measured, margin_us: int) -> None:
 
 def _write(path: Path, margin_us: int) -> None:
     """Puts the margin into the file, and leaves everything else as it is. Raises Failure."""
-    from ruamel.yaml import YAML
+    from headway.configs.edit import edit_number
+    from headway.configs.mistakes.mistake import ConfigError
 
-    yaml = YAML()
-    yaml.preserve_quotes = True
-    yaml.width = 4096
-    yaml.indent(mapping=2, sequence=4, offset=2)
     try:
-        tree = yaml.load(path)
-        tree["loop"]["margin_us"] = margin_us
-        with path.open("w", encoding="utf-8") as file:
-            yaml.dump(tree, file)
+        edit_number(path, ("loop", "margin_us"), margin_us)
+    except ConfigError as error:
+        raise Failure(ExitCode.USAGE, str(error)) from error
     except OSError as error:
         raise Failure(ExitCode.USAGE, f"{path}: cannot be written: {error.strerror}") from error

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.live import PLANT_NAME
 from headway.cli.progress import Bar
+from headway.configs.replace import replace_text
 
 if TYPE_CHECKING:
     from headway.cli.page.animation import Animation
@@ -163,13 +162,8 @@ def _film(shown: list[Shown]) -> tuple[Animation | None, str]:
 
 def _replace(path: Path, text: str) -> None:
     """Writes a file as a whole, in place of what is there. Raises Failure."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
+        replace_text(path, text)
     except OSError as error:
         raise Failure(ExitCode.USAGE, f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            unfinished.unlink(missing_ok=True)
