@@ -120,8 +120,6 @@ class LinearHoming(_Homing):
 class _Axis(Section):
     joint: str
     """The joint's name in the model."""
-    carries_gravity: bool = True
-    """Without torque it would fall: the board never drops its torque."""
 
     @property
     def lowest(self) -> float:
@@ -140,21 +138,6 @@ class _Axis(Section):
         """Positions between which it has every pose: its range, or one turn. SI."""
         axis: Any = self
         return (-math.pi, math.pi) if axis.continuous else (axis.position_min, axis.position_max)
-
-    @property
-    def deceleration(self) -> float:
-        """Of the board's own stop: SI."""
-        axis: Any = self
-        given: float | None = axis.stop_deceleration
-        return axis.acceleration_limit / 10 if given is None else given
-
-    @property
-    def following(self) -> float:
-        """The largest following error: SI."""
-        axis: Any = self
-        given: float | None = axis.following_limit
-        low, high = self.poses
-        return (high - low) / 8 if given is None else given
 
     @model_validator(mode="after")
     def _ends(self) -> Self:
@@ -179,6 +162,51 @@ class _Axis(Section):
         return []
 
 
+class _Driven(_Axis):
+    carries_gravity: bool = True
+    """Without torque it would fall: the board never drops its torque."""
+
+    @property
+    def passive(self) -> bool:
+        """It has a motor."""
+        return False
+
+    @property
+    def deceleration(self) -> float:
+        """Of the board's own stop: SI."""
+        axis: Any = self
+        given: float | None = axis.stop_deceleration
+        return axis.acceleration_limit / 10 if given is None else given
+
+    @property
+    def following(self) -> float:
+        """The largest following error: SI."""
+        axis: Any = self
+        given: float | None = axis.following_limit
+        low, high = self.poses
+        return (high - low) / 8 if given is None else given
+
+
+class _Passive(_Axis):
+    passive: Literal[True]
+    """It has no motor: an encoder and its board, which is never armed."""
+
+    @property
+    def effort_limit(self) -> float:
+        """Nothing drives it."""
+        return 0.0
+
+    @property
+    def velocity_limit(self) -> float:
+        """No plan decides on it."""
+        return math.inf
+
+    @property
+    def homing(self) -> None:
+        """Its encoder knows where it is."""
+        return None
+
+
 def _ends_by_kind(schema: dict[str, Any]) -> None:
     """What `_wrong_ends` says of a rotary axis, for editors."""
     ends = ["position_min_rad", "position_max_rad", "soft_min_rad", "soft_max_rad"]
@@ -191,9 +219,7 @@ def _ends_by_kind(schema: dict[str, Any]) -> None:
     }
 
 
-class RotaryAxis(_Axis):
-    """A hinge with its motor, encoder and board."""
-
+class _Rotary(_Axis):
     model_config = ConfigDict(json_schema_extra=_ends_by_kind)
 
     counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
@@ -208,43 +234,19 @@ class RotaryAxis(_Axis):
     """Plans keep above it where they can."""
     soft_max: Finite | None = Field(default=None, alias="soft_max_rad")
     """Plans keep below it where they can."""
-    velocity_limit: Positive = Field(alias="velocity_limit_rad_per_s")
-    """Of a plan, in either direction."""
-    acceleration_limit: Positive = Field(alias="acceleration_limit_rad_per_s2")
-    """Of a plan, in either direction."""
-    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_rad_per_s2")
-    """With which the board stops by itself, and always could before a position limit. Default: a
-    tenth of the acceleration limit."""
-    following_limit: Positive | None = Field(default=None, alias="following_limit_rad")
-    """The board stops when the axis is further from where it should be. Default: an eighth of
-    the range, or of a turn."""
-    effort_limit: Positive = Field(alias="torque_limit_Nm")
-    """The most that the servo asks of the motor, at the joint."""
     coulomb: NotNegative = Field(default=0.0, alias="coulomb_Nm")
     """Dry friction that the controller knows of."""
-    motor: Motor
-    """The motor that moves it."""
-    servo: RotaryServo
-    """The gains of the board's servo."""
-    homing: RotaryHoming | None = None
-    """How the board finds out where the axis is. Default: the encoder knows."""
 
     def _wrong_ends(self) -> list[str]:
         ends = ("position_min", "position_max", "soft_min", "soft_max")
         if not self.continuous:
             missing = [self._missing(end) for end in ends[:2] if getattr(self, end) is None]
             return missing or super()._wrong_ends()
-        mistakes = [
+        return [
             f"{self.key(end)} is for axes that end somewhere: remove it, or continuous: true"
             for end in ends
             if getattr(self, end) is not None
         ]
-        if self.homing is not None and self.homing.method == "stop":
-            mistakes.append(
-                "homing.method is stop, but an axis with continuous: true has no mechanical stop: "
-                "use index or switch"
-            )
-        return mistakes
 
     def _missing(self, end: str) -> str:
         key, value = self.key(end), "-3" if end == "position_min" else "3"
@@ -267,9 +269,7 @@ class RotaryAxis(_Axis):
         return self.counts_per_turn / (2 * math.pi)
 
 
-class LinearAxis(_Axis):
-    """A slide with its motor, encoder and board."""
-
+class _Linear(_Axis):
     counts_per_m: Annotated[float, Field(ge=16, le=1e10)]
     """Encoder counts per metre of the joint's way."""
     position_min: Finite = Field(alias="position_min_m")
@@ -280,26 +280,8 @@ class LinearAxis(_Axis):
     """Plans keep above it where they can."""
     soft_max: Finite | None = Field(default=None, alias="soft_max_m")
     """Plans keep below it where they can."""
-    velocity_limit: Positive = Field(alias="velocity_limit_m_per_s")
-    """Of a plan, in either direction."""
-    acceleration_limit: Positive = Field(alias="acceleration_limit_m_per_s2")
-    """Of a plan, in either direction."""
-    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_m_per_s2")
-    """With which the board stops by itself, and always could before a position limit. Default: a
-    tenth of the acceleration limit."""
-    following_limit: Positive | None = Field(default=None, alias="following_limit_m")
-    """The board stops when the axis is further from where it should be. Default: an eighth of
-    the range."""
-    effort_limit: Positive = Field(alias="force_limit_N")
-    """The most that the servo asks of the motor, at the joint."""
     coulomb: NotNegative = Field(default=0.0, alias="coulomb_N")
     """Dry friction that the controller knows of."""
-    motor: LinearMotor
-    """The motor that moves it."""
-    servo: LinearServo
-    """The gains of the board's servo."""
-    homing: LinearHoming | None = None
-    """How the board finds out where the axis is. Default: the encoder knows."""
 
     @property
     def continuous(self) -> bool:
@@ -318,6 +300,69 @@ class LinearAxis(_Axis):
     def counts_per_unit(self) -> float:
         """Encoder counts per metre."""
         return self.counts_per_m
+
+
+class RotaryAxis(_Rotary, _Driven):
+    """A hinge with its motor, encoder and board."""
+
+    velocity_limit: Positive = Field(alias="velocity_limit_rad_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_rad_per_s2")
+    """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_rad_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_rad")
+    """The board stops when the axis is further from where it should be. Default: an eighth of
+    the range, or of a turn."""
+    effort_limit: Positive = Field(alias="torque_limit_Nm")
+    """The most that the servo asks of the motor, at the joint."""
+    motor: Motor
+    """The motor that moves it."""
+    servo: RotaryServo
+    """The gains of the board's servo."""
+    homing: RotaryHoming | None = None
+    """How the board finds out where the axis is. Default: the encoder knows."""
+
+    def _wrong_ends(self) -> list[str]:
+        mistakes = super()._wrong_ends()
+        if self.continuous and self.homing is not None and self.homing.method == "stop":
+            mistakes.append(
+                "homing.method is stop, but an axis with continuous: true has no mechanical stop: "
+                "use index or switch"
+            )
+        return mistakes
+
+
+class LinearAxis(_Linear, _Driven):
+    """A slide with its motor, encoder and board."""
+
+    velocity_limit: Positive = Field(alias="velocity_limit_m_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_m_per_s2")
+    """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_m_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_m")
+    """The board stops when the axis is further from where it should be. Default: an eighth of
+    the range."""
+    effort_limit: Positive = Field(alias="force_limit_N")
+    """The most that the servo asks of the motor, at the joint."""
+    motor: LinearMotor
+    """The motor that moves it."""
+    servo: LinearServo
+    """The gains of the board's servo."""
+    homing: LinearHoming | None = None
+    """How the board finds out where the axis is. Default: the encoder knows."""
+
+
+class RotaryPassive(_Rotary, _Passive):
+    """A hinge without a motor: its encoder and board."""
+
+
+class LinearPassive(_Linear, _Passive):
+    """A slide without a motor: its encoder and board."""
 
 
 class _Sine(Section):
@@ -387,30 +432,41 @@ def _given(tree: dict[Any, Any]) -> set[str]:
     return keys
 
 
-def _either(rotary: type[Section], linear: type[Section]) -> WrapValidator:
+def _either(rotary: type[Section], linear: type[Section], given: Any) -> Section:
     """Reads a mapping as the kind whose keys it has: linear if there is any of that kind alone.
 
     A union with pydantic's own discriminator would put the kind's name into the place of every
     mistake, where the file has no such key.
     """
     of_rotary, of_linear = _keys(rotary) - _keys(linear), _keys(linear) - _keys(rotary)
-
-    def read(value: Any, _: object) -> Section:
-        if isinstance(value, rotary | linear):
-            return value
-        given = _given(value) if isinstance(value, dict) else set[str]()
-        turning, sliding = sorted(given & of_rotary), sorted(given & of_linear)
-        if turning == ["continuous"] and sliding:
-            raise ValueError("continuous is for rotary axes alone: a slide ends, so remove it")
-        if turning and sliding:
-            raise ValueError(
-                f"{turning[0]} is a key of rotary axes and {sliding[0]} of linear ones: "
-                "use the keys of one kind"
-            )
-        return (linear if sliding else rotary).model_validate(value)
-
-    return WrapValidator(read)
+    keys = _given(given) if isinstance(given, dict) else set[str]()
+    turning, sliding = sorted(keys & of_rotary), sorted(keys & of_linear)
+    if turning == ["continuous"] and sliding:
+        raise ValueError("continuous is for rotary axes alone: a slide ends, so remove it")
+    if turning and sliding:
+        raise ValueError(
+            f"{turning[0]} is a key of rotary axes and {sliding[0]} of linear ones: "
+            "use the keys of one kind"
+        )
+    return (linear if sliding else rotary).model_validate(given)
 
 
-Axis = Annotated[RotaryAxis | LinearAxis, _either(RotaryAxis, LinearAxis)]
-Sine = Annotated[RotarySine | LinearSine, _either(RotarySine, LinearSine)]
+def _read_axis(value: Any, _: object) -> Section:
+    if isinstance(value, _Axis):
+        return value
+    if not isinstance(value, dict) or "passive" not in value:
+        return _either(RotaryAxis, LinearAxis, value)
+    drive = sorted(_given(value) & {"motor", "servo"})
+    if drive and value["passive"] is True:
+        raise ValueError(f"a passive axis has no {drive[0]}: remove it, or passive: true")
+    return _either(RotaryPassive, LinearPassive, value)
+
+
+def _read_sine(value: Any, _: object) -> Section:
+    return value if isinstance(value, _Sine) else _either(RotarySine, LinearSine, value)
+
+
+DrivenAxis = RotaryAxis | LinearAxis
+PassiveAxis = RotaryPassive | LinearPassive
+Axis = Annotated[DrivenAxis | PassiveAxis, WrapValidator(_read_axis)]
+Sine = Annotated[RotarySine | LinearSine, WrapValidator(_read_sine)]

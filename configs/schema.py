@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from headway.configs.axis import Axis, Sine
+from headway.configs.axis import Axis, DrivenAxis, Sine
 from headway.configs.section import (
     LARGE,
     ByAxis,
@@ -22,12 +22,25 @@ COUNTS = 2**31 - 1  # of an encoder from zero, either way
 
 
 class Machine(Section):
-    """The model file and the axes that move it; the order of axes is the order of devices."""
+    """The model file and its axes."""
 
     model: str
     """The MJCF or URDF file; a relative path starts at the config."""
     axes: Annotated[list[Axis], Field(min_length=1)]
-    """The joints with a motor, in the order of the devices."""
+    """All joints, in the model's order: the order of the devices. One with `passive: true` has an
+    encoder alone.
+    """
+
+    @property
+    def driven(self) -> dict[int, DrivenAxis]:
+        """The axes with a motor, by their index."""
+        return {i: axis for i, axis in enumerate(self.axes) if not axis.passive}
+
+    @model_validator(mode="after")
+    def _moves(self) -> Machine:
+        if not self.driven:
+            raise ValueError("every axis is passive: nothing can move the machine")
+        return self
 
 
 class Device(Section):
@@ -122,20 +135,24 @@ class Links(Section):
 class Task(Section):
     """What to do. Each kind has keys of its own."""
 
-    kind: Literal["sines", "track", "regulate"]
+    kind: Literal["sines", "track", "regulate", "custom"]
     """sines: to follow a sine on each axis, turning on and on where that is asked for. track: to
-    follow the positions in a file. regulate: to go somewhere and to stay there.
+    follow the positions in a file. regulate: to go somewhere and to stay there. custom: what costs
+    of its own make of it (docs/tasks.md).
     """
     frequency_Hz: Positive | None = None
     """sines: of the sine whose harmonic is 1."""
     axes: list[Sine] = Field(default=[])
     """sines: a sine for each axis."""
     file: str | None = None
-    """track: a CSV file with the columns time_s and one for each joint, by its name, in rad or m;
-    relative to this config. Between its rows the motion is a cubic spline, at rest at both ends.
+    """track: a CSV file with the columns time_s and one for each joint, by its name, in rad or m.
+    Between its rows the motion is a cubic spline, at rest at both ends. custom: a Python file with
+    a function `objective`. Relative to this config.
     """
     target_rad_or_m: list[Finite] | None = None
-    """regulate: a position for each axis."""
+    """regulate, custom: a position for each axis."""
+    parameters: dict[str, Finite] = Field(default={})
+    """custom: numbers that the file asks for, by name, in place of its own."""
 
     @model_validator(mode="after")
     def _has_its_keys(self) -> Task:
@@ -143,9 +160,10 @@ class Task(Section):
             "sines": ("frequency_Hz", "axes"),
             "track": ("file",),
             "regulate": ("target_rad_or_m",),
+            "custom": ("file", "target_rad_or_m", "parameters"),
         }
         given = {key for keys in own.values() for key in keys if getattr(self, key)}
-        missing = [key for key in own[self.kind] if key not in given]
+        missing = [key for key in own[self.kind] if key not in given and key != "parameters"]
         if missing:
             raise ValueError(f"a task of the kind {self.kind} needs {' and '.join(missing)}")
         if others := sorted(given - set(own[self.kind])):
@@ -298,10 +316,12 @@ class Mishap(Section):
         "clock_step",
         "host_clock_step",
         "firmware_hangs",
+        "push",
     ]
     """What goes wrong: the emergency line opens, a board restarts, no packet passes, an encoder
     stands still, counts backwards or jumps, the supply sags, a board's counter or the host's clock
-    jumps, a board's main loop stands still."""
+    jumps, a board's main loop stands still, somebody
+    pushes at a joint."""
     at_s: NotNegative
     """When in the task."""
     for_s: Positive = LARGE
@@ -310,6 +330,8 @@ class Mishap(Section):
     """The axis that it happens to. Default: all."""
     supply_V: NotNegative = 0.0
     """What is left of a sagging supply."""
+    effort_Nm_or_N: Finite = 0.0
+    """What a joint is pushed with."""
     step_us: Annotated[int, Field(ge=-(10**9), le=10**9)] = 0
     """How far a counter or a clock jumps, ahead or back."""
 
@@ -317,6 +339,8 @@ class Mishap(Section):
     def _has_what_it_needs(self) -> Mishap:
         if self.kind in ("clock_step", "host_clock_step") and self.step_us == 0:
             raise ValueError(f"a {self.kind} needs a step_us other than 0")
+        if self.kind == "push" and (self.joint is None or self.effort_Nm_or_N == 0):
+            raise ValueError("a push needs a joint and an effort_Nm_or_N other than 0")
         if self.kind == "host_clock_step" and self.joint is not None:
             raise ValueError("a host_clock_step happens to the host: leave joint out")
         return self
@@ -442,7 +466,7 @@ class Config(Section):
             for i, mishap in enumerate(self.sim.mishaps)
             if mishap.joint is not None and mishap.joint not in joints
         ]
-        heavy = [axis.joint for axis in self.machine.axes if axis.carries_gravity]
+        heavy = [axis.joint for axis in self.machine.driven.values() if axis.carries_gravity]
         if self.device.torque_gap == "zero" and heavy:
             mistakes.append(
                 f"device.torque_gap is zero, which would drop {', '.join(heavy)}: choose another, "

@@ -26,6 +26,7 @@ class Osqp(Solver):
         hessian: Array,
         hessian_indices: Indices,
         hessian_indptr: Indices,
+        hessian_changes: bool,
         gradient: Array,
         constraints: Array,
         constraints_indices: Indices,
@@ -39,6 +40,7 @@ class Osqp(Solver):
 class Hpipm(Solver):
     def __init__(
         self,
+        driven: list[int],
         bounded: list[int],
         a: Array,
         b0: Array,
@@ -51,6 +53,7 @@ class Hpipm(Solver):
         state: Array,
         torque: Array,
         step: Array,
+        curvature: Array,
         approach_s: Array,
         soft: Array,
         max_iterations: int,

@@ -109,9 +109,10 @@ class Gains:
     """
 
     def __init__(self, config: Config, machine: Machine, plan_points: int) -> None:
-        axes, device, loop = config.machine.axes, config.device, config.loop
-        self._law, self._shift = ServoLaw.of(axes), loop.knot_shift
-        self._configured = self._law.feedback[None]
+        device, loop, every_axis = config.device, config.loop, config.machine.axes
+        axes = list(config.machine.driven.values())
+        self._law, self._shift = ServoLaw.of(every_axis), loop.knot_shift
+        self._driven, self._configured = self._law.driven, self._law.feedback[None]
         self.sinks: tuple[int, ...] = () if loop.gains == "off" else GAIN_SINKS
         units = [AxisUnits.of(axis, loop) for axis in axes]
         self.limits = [gain_limits(axis, device, u) for axis, u in zip(axes, units, strict=True)]
@@ -126,7 +127,7 @@ class Gains:
             self._step[sink] = np.array([float(limits.difference_max) for limits in of_sink])
         self._schedule: Schedule | None = None
         if loop.gains == "scheduled":
-            low, high = np.array([axis.poses for axis in axes]).T
+            low, high = np.array([axis.poses for axis in every_axis]).T
             self._schedule = Schedule(machine, self._law, low, high)
         if self.sinks:
             for axis, u, limits in zip(axes, units, self.limits, strict=True):
@@ -144,7 +145,8 @@ class Gains:
                     )
 
     def points(self, position: Array) -> Array:
-        """The gains at positions (m, n) in units of control points: (m, s n), sink by sink."""
+        """The gains at positions (m, n) in units of control points: (m, s w), sink by sink, for w
+        driven axes."""
         if self._schedule is None:
             top = [self._top[sink] for sink in self.sinks] or [np.empty(0)]
             return np.concatenate(top)[None].repeat(len(position), axis=0)
@@ -152,16 +154,16 @@ class Gains:
         emf = np.divide(law.emf, law.kd, out=np.zeros_like(law.kd), where=law.kd > 0)
         damping = np.clip((1 + emf) * share - emf, 0, 1)
         shares = {core.TRACK_KP: share, core.TRACK_KI: share, core.TRACK_KD: damping}
-        return np.hstack([shares[sink] * self._top[sink] for sink in self.sinks])
+        return np.hstack([shares[sink][:, self._driven] * self._top[sink] for sink in self.sinks])
 
     def still(self, position: Array, count: int) -> list[Points]:
-        """By axis, `count` equal control points of the gains at a position (n,)."""
+        """By driven axis, `count` equal control points of the gains at a position (n,)."""
         return self._by_axis(self.points(position[None]).repeat(count, axis=0))
 
     def bounded(self, points: Array) -> list[Points]:
-        """By axis, control points that the gate takes.
+        """By driven axis, control points that the gate takes.
 
-        `points` (m, s n), as in `points`: the first three are committed. Where the others leave the
+        `points` (m, s w), as in `points`: the first three are committed. Where the others leave the
         gate's limits an axis' gains are drawn together towards the committed ones, which may
         always stay.
         """
@@ -194,16 +196,18 @@ class Gains:
     ) -> Array:
         """[Kp, Kd + c] at times (m,) as the devices evaluate them: (m, 2n).
 
-        `track` gives the track of an axis and a sink.
+        `track` gives the track of a driven axis, by its place among those, and of a sink.
         """
-        n = len(self._law.kp)
+        n, driven = len(self._law.kp), self._driven
+        values = self._configured.repeat(len(times_us), axis=0)
         if not self.sinks:
-            return self._configured.repeat(len(times_us), axis=0)
-        tracks = [track(axis, sink) for sink in (core.TRACK_KP, core.TRACK_KD) for axis in range(n)]
-        points = np.empty((len(times_us), 2 * n))
+            return values
+        sinks, width = (core.TRACK_KP, core.TRACK_KD), len(driven)
+        tracks = [track(i, sink) for sink in sinks for i in range(width)]
+        points = np.empty((len(times_us), 2 * width))
         core.evaluate_tracks(tracks, times_us, self._shift, points)
         mantissa = np.clip(points.astype(np.int64) >> GAIN_BITS, 0, MANTISSA_MAX)
-        per_mantissa = [self._per_mantissa[sink] for sink in (core.TRACK_KP, core.TRACK_KD)]
-        values: Array = mantissa * np.concatenate(per_mantissa)
-        values[:, n:] += self._law.emf
+        gains = mantissa * np.concatenate([self._per_mantissa[sink] for sink in sinks])
+        values[:, driven] = gains[:, :width]
+        values[:, [n + axis for axis in driven]] = gains[:, width:] + self._law.emf[driven]
         return values

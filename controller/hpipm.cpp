@@ -1,5 +1,5 @@
 // A stage's state is [x_i; u_i], its control u_{i+1}: the torque runs linearly between nodes. At
-// stage 0 x is known, and the control is [u_0; u_1].
+// stage 0 x is known, and the control is [u_0; u_1]. There are n axes and w motors.
 #include "hpipm.hpp"
 
 #include <algorithm>
@@ -9,7 +9,7 @@
 static constexpr double REST = 1e-5;
 
 Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move(stages)) {
-    int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size();
+    int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     auto block = [&](hpipm_size_t size) -> void * {
         memory_.emplace_back(new char[size + 64]());
         auto at = reinterpret_cast<std::uintptr_t>(memory_.back().get());
@@ -17,11 +17,11 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     };
     d_ocp_qp_dim_create(count, &dim_, block(d_ocp_qp_dim_memsize(count)));
     for (int i = 0; i <= count; ++i) {
-        d_ocp_qp_dim_set_nx(i, i ? 3 * n : 0, &dim_);
-        d_ocp_qp_dim_set_nu(i, i == 0 ? 2 * n : i < count ? n : 0, &dim_);
-        d_ocp_qp_dim_set_nbx(i, i ? 2 * n : 0, &dim_); // speed and torque
-        d_ocp_qp_dim_set_nbu(i, i ? 0 : n, &dim_);     // u_0
-        d_ocp_qp_dim_set_ng(i, (i < count ? n : 0) + (i ? soft : 0), &dim_);
+        d_ocp_qp_dim_set_nx(i, i ? 2 * n + w : 0, &dim_);
+        d_ocp_qp_dim_set_nu(i, i == 0 ? 2 * w : i < count ? w : 0, &dim_);
+        d_ocp_qp_dim_set_nbx(i, i ? 2 * w : 0, &dim_); // speed and torque
+        d_ocp_qp_dim_set_nbu(i, i ? 0 : w, &dim_);     // u_0
+        d_ocp_qp_dim_set_ng(i, (i < count ? w : 0) + (i ? soft : 0), &dim_);
         d_ocp_qp_dim_set_ns(i, i ? soft : 0, &dim_);
     }
     d_ocp_qp_create(&dim_, &qp_, block(d_ocp_qp_memsize(&dim_)));
@@ -36,55 +36,56 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     d_ocp_qp_ipm_arg_set_tol_comp(&tolerance, &arg_);
     d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, block(d_ocp_qp_ipm_ws_memsize(&dim_, &arg_)));
     buffer_.resize((size_t)(9 * n * n));
-    offset_.resize((size_t)(n * count));
+    offset_.resize((size_t)(w * count));
     set_constant();
 }
 
 void Hpipm::set_constant() {
-    int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size();
+    int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     const double *state = p_.state.data(), *torque = p_.torque.data(), *step = p_.step.data();
     double *m = buffer_.data();
     std::vector<int> boxes;
-    for (int j = 0; j < 2 * n; ++j)
-        boxes.push_back(n + j); // of [q; v; u]
+    for (int axis : p_.driven)
+        boxes.push_back(n + axis); // of [q; v; u]
+    for (int j = 0; j < w; ++j)
+        boxes.push_back(2 * n + j);
     for (int i = 0; i <= count; ++i) {
-        int nx = i ? 3 * n : 0, nu = i == 0 ? 2 * n : i < count ? n : 0;
-        int first_u = i ? 2 * n : 0; // of u_i, in x or, at stage 0, in u
+        int nx = i ? 2 * n + w : 0, nu = i == 0 ? 2 * w : i < count ? w : 0;
         std::fill_n(m, 9 * n * n, 0.0);
         if (i) {
             for (int j = 0; j < 2 * n; ++j)
                 m[j * nx + j] = state[i * 2 * n + j];
-            for (int j = 0; j < n; ++j)
-                m[(first_u + j) * (nx + 1)] = torque[i * n + j] + (i < count ? step[i * n + j] : 0);
+            for (int j = 0; j < w; ++j)
+                m[(2 * n + j) * (nx + 1)] = torque[i * w + j] + (i < count ? step[i * w + j] : 0);
             d_ocp_qp_set_Q(i, m, &qp_);
             std::fill_n(m, 9 * n * n, 0.0);
             if (i < count) {
-                for (int j = 0; j < n; ++j)
-                    m[j * (nu + 1)] = step[i * n + j];
+                for (int j = 0; j < w; ++j)
+                    m[j * (nu + 1)] = step[i * w + j];
                 d_ocp_qp_set_R(i, m, &qp_);
                 std::fill_n(m, 9 * n * n, 0.0);
-                for (int j = 0; j < n; ++j)
-                    m[(first_u + j) * nu + j] = -step[i * n + j];
+                for (int j = 0; j < w; ++j)
+                    m[(2 * n + j) * nu + j] = -step[i * w + j];
                 d_ocp_qp_set_S(i, m, &qp_);
             }
             d_ocp_qp_set_idxbx(i, boxes.data(), &qp_);
         } else {
-            for (int j = 0; j < n; ++j) {
+            for (int j = 0; j < w; ++j) {
                 m[j * (nu + 1)] = torque[j] + step[j];
-                m[(n + j) * (nu + 1)] = step[j];
-                m[j * nu + n + j] = m[(n + j) * nu + j] = -step[j];
+                m[(w + j) * (nu + 1)] = step[j];
+                m[j * nu + w + j] = m[(w + j) * nu + j] = -step[j];
             }
             d_ocp_qp_set_R(0, m, &qp_);
             std::vector<int> first;
-            for (int j = 0; j < n; ++j)
+            for (int j = 0; j < w; ++j)
                 first.push_back(j);
             d_ocp_qp_set_idxbu(0, first.data(), &qp_);
         }
         if (i && soft) { // the last rows of the general constraints
-            int changes = i < count ? n : 0;
+            int changes = i < count ? w : 0;
             std::vector<int> softened;
             for (int j = 0; j < soft; ++j)
-                softened.push_back(2 * n + changes + j); // behind the boxes
+                softened.push_back(2 * w + changes + j); // behind the boxes
             d_ocp_qp_set_idxs(i, softened.data(), &qp_);
             std::vector<double> weight;
             for (int axis : p_.bounded)
@@ -95,54 +96,77 @@ void Hpipm::set_constant() {
     }
 }
 
+// What the task's own costs add to Q.
+void Hpipm::set_curvature() {
+    int x = 2 * p_.axes, w = (int)p_.driven.size(), count = p_.intervals, nx = x + w;
+    const double *scale = p_.column_scale.data(), *state = p_.state.data();
+    const double *torque = p_.torque.data(), *step = p_.step.data();
+    double *m = buffer_.data();
+    for (int i = 1; i <= count; ++i) {
+        const double *curvature = p_.curvature.data() + i * x * x;
+        std::fill_n(m, nx * nx, 0.0);
+        for (int c = 0; c < x; ++c) {
+            for (int r = 0; r < x; ++r)
+                m[c * nx + r] = curvature[c * x + r] * scale[c] * scale[r];
+            m[c * (nx + 1)] += state[i * x + c];
+        }
+        for (int j = 0; j < w; ++j)
+            m[(x + j) * (nx + 1)] = torque[i * w + j] + (i < count ? step[i * w + j] : 0);
+        d_ocp_qp_set_Q(i, m, &qp_);
+    }
+}
+
 bool Hpipm::update() {
-    int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size();
+    int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     const double *scale = p_.column_scale.data(), *torque = scale + 2 * n * (count + 1);
+    const int *driven = p_.driven.data();
     double *m = buffer_.data();
     for (int i = 0; i < count; ++i) {
         const double *a = p_.a.data() + i * 4 * n * n;
         const double *b0 = p_.b0.data() + i * 2 * n * n, *b1 = p_.b1.data() + i * 2 * n * n;
-        int rows = 3 * n, ng = n + (i ? soft : 0);
+        int rows = 2 * n + w, ng = w + (i ? soft : 0);
         if (i) {
             std::fill_n(m, 9 * n * n, 0.0);
             for (int c = 0; c < 2 * n; ++c)
                 for (int r = 0; r < 2 * n; ++r)
                     m[c * rows + r] = a[c * 2 * n + r] * scale[c] / scale[r];
-            for (int c = 0; c < n; ++c)
+            for (int c = 0; c < w; ++c)
                 for (int r = 0; r < 2 * n; ++r)
-                    m[(2 * n + c) * rows + r] = b0[c * 2 * n + r] * torque[c] / scale[r];
+                    m[(2 * n + c) * rows + r] = b0[driven[c] * 2 * n + r] * torque[c] / scale[r];
             d_ocp_qp_set_A(i, m, &qp_);
             std::fill_n(m, 9 * n * n, 0.0); // C: change of speed, then what is soft
-            for (int c = 0; c < 2 * n; ++c)
-                for (int r = 0; r < n; ++r)
-                    m[c * ng + r] = (a[c * 2 * n + n + r] - (c == n + r)) * scale[c];
-            for (int c = 0; c < n; ++c)
-                for (int r = 0; r < n; ++r)
-                    m[(2 * n + c) * ng + r] = b0[c * 2 * n + n + r] * torque[c];
+            for (int r = 0; r < w; ++r) {
+                int v = n + driven[r];
+                for (int c = 0; c < 2 * n; ++c)
+                    m[c * ng + r] = (a[c * 2 * n + v] - (c == v)) * scale[c];
+                for (int c = 0; c < w; ++c)
+                    m[(2 * n + c) * ng + r] = b0[driven[c] * 2 * n + v] * torque[c];
+            }
             for (int r = 0; r < soft; ++r) {
                 int axis = p_.bounded[(size_t)r];
-                m[axis * ng + n + r] = scale[axis];
-                m[(n + axis) * ng + n + r] = p_.approach_s.data()[axis] * scale[n + axis];
+                m[axis * ng + w + r] = scale[axis];
+                m[(n + axis) * ng + w + r] = p_.approach_s.data()[axis] * scale[n + axis];
             }
             d_ocp_qp_set_C(i, m, &qp_);
         }
         std::fill_n(m, 9 * n * n, 0.0);
-        int first = i ? 0 : n; // column of u_{i+1}
-        for (int c = 0; c < n; ++c) {
+        int first = i ? 0 : w; // column of u_{i+1}
+        for (int c = 0; c < w; ++c) {
             for (int r = 0; r < 2 * n; ++r) {
-                m[(first + c) * rows + r] = b1[c * 2 * n + r] * torque[c] / scale[r];
+                m[(first + c) * rows + r] = b1[driven[c] * 2 * n + r] * torque[c] / scale[r];
                 if (i == 0)
-                    m[c * rows + r] = b0[c * 2 * n + r] * torque[c] / scale[r];
+                    m[c * rows + r] = b0[driven[c] * 2 * n + r] * torque[c] / scale[r];
             }
             m[(first + c) * rows + 2 * n + c] = 1;
         }
         d_ocp_qp_set_B(i, m, &qp_);
         std::fill_n(m, 9 * n * n, 0.0); // D
-        for (int c = 0; c < n; ++c)
-            for (int r = 0; r < n; ++r) {
-                m[(first + c) * ng + r] = b1[c * 2 * n + n + r] * torque[c];
+        for (int c = 0; c < w; ++c)
+            for (int r = 0; r < w; ++r) {
+                int v = n + driven[r];
+                m[(first + c) * ng + r] = b1[driven[c] * 2 * n + v] * torque[c];
                 if (i == 0)
-                    m[c * ng + r] = b0[c * 2 * n + n + r] * torque[c];
+                    m[c * ng + r] = b0[driven[c] * 2 * n + v] * torque[c];
             }
         d_ocp_qp_set_D(i, m, &qp_);
     }
@@ -155,16 +179,20 @@ bool Hpipm::update() {
         }
         d_ocp_qp_set_C(count, m, &qp_);
     }
+    if (p_.curvature.size())
+        set_curvature();
     return true;
 }
 
 void Hpipm::set_vectors() {
-    int n = p_.axes, count = p_.intervals, soft = (int)p_.bounded.size(), x = 2 * n;
+    int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
+    int x = 2 * n;
+    const int *driven = p_.driven.data();
     const double *scale = p_.column_scale.data(), *torque = scale + x * (count + 1);
     const double *low = p_.lower.data(), *up = p_.upper.data(), *rows = p_.row_scale.data();
     const double *gradient = p_.gradient.data(), *torques = gradient + x * (count + 1);
-    int torque_row = x * (count + 1) + x, speed_row = torque_row + n * (count + 1);
-    int change_row = speed_row + n * count, soft_row = change_row + n * count;
+    int torque_row = x * (count + 1) + 2 * w, speed_row = torque_row + w * (count + 1);
+    int change_row = speed_row + w * count, soft_row = change_row + w * count;
     double *m = buffer_.data(), *l = m + 3 * n, *u = m + 6 * n;
     for (int i = 0; i <= count; ++i) {
         if (i < count) { // b
@@ -175,43 +203,45 @@ void Hpipm::set_vectors() {
                     for (int c = 0; c < x; ++c)
                         m[r] += a[c * x + r] * scale[c] / scale[r] * low[c];
             }
-            std::fill_n(m + x, n, 0.0);
+            std::fill_n(m + x, w, 0.0);
             d_ocp_qp_set_b(i, m, &qp_);
-            for (int r = 0; r < n; ++r) // of the change of speed; dx_0 is known
-                offset_[(size_t)(i * n + r)] =
-                    m[n + r] * scale[n + r] - (i ? 0 : low[n + r] * scale[n + r]);
+            for (int r = 0; r < w; ++r) { // of the change of speed; dx_0 is known
+                int v = n + driven[r];
+                offset_[(size_t)(i * w + r)] = (m[v] - (i ? 0 : low[v])) * scale[v];
+            }
         }
         if (i) {
             std::copy_n(gradient + i * x, x, m);
-            std::copy_n(torques + i * n, n, m + x);
+            std::copy_n(torques + i * w, w, m + x);
             d_ocp_qp_set_q(i, m, &qp_);
             bool rests = i >= count - 1;
-            for (int r = 0; r < n; ++r) {
-                int at = speed_row + (i - 1) * n + r;
-                double still = low[x * (count + 1) + (i - count + 1) * n + r] /
+            for (int r = 0; r < w; ++r) {
+                int at = speed_row + (i - 1) * w + r;
+                double still = low[x * (count + 1) + (i - count + 1) * w + r] /
                                rows[x * (count + 1) + r]; // -v
-                l[r] = (rests ? still - REST : low[at]) / scale[n + r];
-                u[r] = (rests ? still + REST : up[at]) / scale[n + r];
-                l[n + r] = low[torque_row + i * n + r] / torque[r];
-                u[n + r] = up[torque_row + i * n + r] / torque[r];
+                double unit = scale[n + driven[r]];
+                l[r] = (rests ? still - REST : low[at]) / unit;
+                u[r] = (rests ? still + REST : up[at]) / unit;
+                l[w + r] = low[torque_row + i * w + r] / torque[r];
+                u[w + r] = up[torque_row + i * w + r] / torque[r];
             }
             d_ocp_qp_set_lbx(i, l, &qp_);
             d_ocp_qp_set_ubx(i, u, &qp_);
         } else {
-            std::copy_n(torques, n, m);
-            std::fill_n(m + n, n, 0.0);
+            std::copy_n(torques, w, m);
+            std::fill_n(m + w, w, 0.0);
             d_ocp_qp_set_r(0, m, &qp_);
-            for (int r = 0; r < n; ++r) {
+            for (int r = 0; r < w; ++r) {
                 l[r] = low[torque_row + r] / torque[r];
                 u[r] = up[torque_row + r] / torque[r];
             }
             d_ocp_qp_set_lbu(0, l, &qp_);
             d_ocp_qp_set_ubu(0, u, &qp_);
         }
-        int changes = i < count ? n : 0;
+        int changes = i < count ? w : 0;
         for (int r = 0; r < changes; ++r) {
-            l[r] = low[change_row + i * n + r] - offset_[(size_t)(i * n + r)];
-            u[r] = up[change_row + i * n + r] - offset_[(size_t)(i * n + r)];
+            l[r] = low[change_row + i * w + r] - offset_[(size_t)(i * w + r)];
+            u[r] = up[change_row + i * w + r] - offset_[(size_t)(i * w + r)];
         }
         for (int r = 0; i && r < soft; ++r) {
             int above = soft_row + (i - 1) * soft + r, below = above + soft * count;
@@ -226,19 +256,19 @@ void Hpipm::set_vectors() {
 Answer Hpipm::solve(double *z) {
     set_vectors();
     d_ocp_qp_ipm_solve(&qp_, &sol_, &arg_, &work_);
-    int status, iterations, n = p_.axes, count = p_.intervals;
+    int status, iterations, n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals;
     d_ocp_qp_ipm_get_status(&work_, &status);
     d_ocp_qp_ipm_get_iter(&work_, &iterations);
     double *m = buffer_.data(), *torques = z + 2 * n * (count + 1);
     std::copy_n(p_.lower.data(), 2 * n, z); // dx_0
     d_ocp_qp_sol_get_u(0, &sol_, m);
-    std::copy_n(m, n, torques);
+    std::copy_n(m, w, torques);
     for (int i = 1; i <= count; ++i) {
         d_ocp_qp_sol_get_x(i, &sol_, m);
         std::copy_n(m, 2 * n, z + i * 2 * n);
-        std::copy_n(m + 2 * n, n, torques + i * n);
+        std::copy_n(m + 2 * n, w, torques + i * w);
     }
-    std::fill(torques + n * (count + 1), z + p_.gradient.size(), 0.0); // its slacks stay with it
+    std::fill(torques + w * (count + 1), z + p_.gradient.size(), 0.0); // its slacks stay with it
     // At its limit of iterations the residual decides.
     return {status, iterations, status == SUCCESS || status == MAX_ITER};
 }

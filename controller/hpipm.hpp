@@ -21,11 +21,13 @@ using Matrix = nanobind::ndarray<double, nanobind::device::cpu>;
 
 struct Stages {
     int axes, intervals;
+    std::vector<int> driven;        // axes with a motor
     std::vector<int> bounded;       // axes with soft limits
     Matrix a, b0, b1;               // the intervals' dynamics, unscaled
     Matrix gradient, lower, upper;  // as OSQP has them
     Matrix column_scale, row_scale; // of variables and constraints
-    Matrix state, torque, step;     // Hessian: diagonals (2n, N+1) and (n, N+1), steps (n, N)
+    Matrix state, torque, step;     // Hessian: diagonals (2n, N+1) and (w, N+1), steps (w, N)
+    Matrix curvature;               // (2n, 2n(N+1)), unscaled, on top of `state`; or nothing
     Matrix approach_s, soft;        // (n,): T, and the slacks' weight
 };
 
@@ -39,6 +41,7 @@ class Hpipm : public Solver {
 
   private:
     void set_constant();
+    void set_curvature();
     void set_vectors();
 
     Stages p_;

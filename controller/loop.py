@@ -24,7 +24,7 @@ from headway.controller.motion import Motion
 from headway.controller.mpc import Mpc
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.recorder import Recorder
-from headway.controller.reference import ENTRY_S, Entry, Reference
+from headway.controller.reference import ENTRY_S, Custom, Entry, Reference
 from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
@@ -33,10 +33,12 @@ from headway.devices import core
 from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
 from headway.devices.link import Link
 from headway.devices.remote import Points, Remote
-from headway.devices.stop import moves, why
+from headway.devices.stop import fit, why
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
+
+BORNE_SHARE = 0.7  # of the effort limit: the most that a plan counts on of a disturbance
 
 
 def plan_points(config: Config) -> int:
@@ -55,19 +57,22 @@ class Loop:
         reference: Reference,
         recorder: Recorder,
     ) -> None:
-        axes = config.machine.axes
+        axes, driven = config.machine.axes, config.machine.driven
         machine.require_axes(tuple(a.joint for a in axes))
         self._config, self._remotes, self.task = config, remotes, reference
+        self._driven = list(driven)
+        self._moved = [remotes[axis] for axis in driven]  # the others have an encoder alone
         self._recorder = recorder
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
         self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
+        moved_units = [self._units[axis] for axis in driven]
         self._limits = [
             {
                 core.TRACK_POSITION: position_limits(axis, units),
                 core.TRACK_TORQUE: torque_limits(axis, units),
             }
-            for axis, units in zip(axes, self._units, strict=True)
+            for axis, units in zip(driven.values(), moved_units, strict=True)
         ]
         law = ServoLaw.of(axes)
         self._horizon = config.mpc.horizon_us // self._knot_us
@@ -85,18 +90,25 @@ class Loop:
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
             limits.update(more)
-        self._commitment = Commitment(remotes, self._units, gains, config.loop)
-        self._encoder = Encoder(self._prediction, self._units, gains, config.loop)
-        self._mpc = Mpc(config, self._prediction, self._encoder) if config.mpc.enabled else None
+        self._commitment = Commitment(self._moved, moved_units, gains, config.loop, law.driven)
+        self._encoder = Encoder(self._prediction, moved_units, gains, config.loop)
+        costs = reference.costs(machine) if isinstance(reference, Custom) else None
+        self._mpc: Mpc | None = None
+        if config.mpc.enabled:
+            self._mpc = Mpc(config, self._prediction, self._encoder, costs)
         self._feedforward = Feedforward(self._prediction, config.mpc.feedforward == "model")
         nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
         self._node_us: NDArray[np.int64] = nodes.astype(np.int64)
         self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
-        self._last: tuple[int, Motion] | None = None  # commit knot and roll-out
+        self._last: tuple[int, Motion] | None = None  # what is expected, from a commit knot on
+        self._planned = 0  # commit knot of the last plan
         self._commit_knot: int | None = None  # of the last tick
         self._prepared: int | None = None  # commit knot of the problem that is ready
         self._wanted = np.empty((0, 0))  # the reference at that problem's nodes, see _wanted_from
-        self._disturbance = np.zeros(self._prediction.n)  # as last estimated
+        self._disturbance = np.zeros(self._prediction.n)  # as last estimated, and planned for
+        # No plan ends at rest under more than the motor can hold; and what pushes at a passive axis
+        # now would in a plan speed it up until the end.
+        self._borne = BORNE_SHARE * law.limit
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
         self.phase = Phase.HELLO
@@ -130,9 +142,10 @@ class Loop:
         in_time = sent_us < outbox.too_late_us
         points = outbox.points if in_time else None
         packets = []
+        plans = {} if points is None else dict(zip(self._driven, points, strict=True))
         for device, remote in enumerate(self._remotes):
-            if remote.established and points is not None:
-                mine = [remote.plan_packet(outbox.first_knot, points[device], sent_us)]
+            if remote.established and device in plans:
+                mine = [remote.plan_packet(outbox.first_knot, plans[device], sent_us)]
             else:
                 mine = remote.stamp_packets(sent_us)
             packets += [(device, packet) for packet in [*mine, *remote.questions()]]
@@ -154,7 +167,7 @@ class Loop:
             self._enter(start.position, 0.0)
             rows = start.position, np.zeros_like(start.position), start.torque
             rest = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rows))
-            self._last = (start.knot, rest)
+            self._last, self._planned = (start.knot, rest), start.knot
         self.phase = self._start.phase
         return outbox
 
@@ -163,7 +176,9 @@ class Loop:
         began = time.perf_counter()
         tick.now, tick.commit = self._estimate(tick.now_us, knot)
         tick.estimate_us = (time.perf_counter() - began) * 1e6
-        self._disturbance = tick.commit.z[2 * self._prediction.n :]
+        self._disturbance = np.clip(
+            tick.commit.z[2 * self._prediction.n :], -self._borne, self._borne
+        )
         self._check_devices(tick)
         if any(remote.silent(tick.now_us) for remote in self._remotes):
             return Outbox()  # nobody gets a new plan: all coast to rest together
@@ -175,9 +190,10 @@ class Loop:
         if tick.solution is not None:
             tick.encode_us -= tick.solution.solve_us
         if plan is None or not passed:
+            self._restore(tick.commit, commit_knot)
             return self._repeat(knot)
         points, rolled = plan
-        self._last = (commit_knot, rolled)
+        self._last, self._planned = (commit_knot, rolled), commit_knot
         tick.accepted, tick.motion = True, rolled
         tick.encoding_error, tick.planned_torque = self._encoder.largest()
         return self._join(knot, commit_knot, points)
@@ -203,7 +219,7 @@ class Loop:
             for axis, units, remote in zip(
                 self._config.machine.axes, self._units, self._remotes, strict=True
             )
-            if remote.status is not None and not moves(remote.status)
+            if remote.status is not None and not fit(remote.status, axis)
         ]
         if stopped:
             mute = [
@@ -221,12 +237,21 @@ class Loop:
             ):
                 raise DeviceError(f"{axis.joint}: the device no longer answers")
 
+    def _restore(self, commit: Estimate, commit_knot: int) -> None:
+        """The old plan runs on. What becomes of that from where the machine is now, which may not
+        be where it was expected, is what the next problem is linearized along."""
+        n, guess = self._prediction.n, self._guess(commit_knot)
+        state, d = commit.state(n), self._disturbance
+        old = self._encoder.plan(guess, self._moved, commit_knot, state, d)
+        if _finite(old[1]):
+            self._last = (commit_knot, old[1])
+
     def _enter_anew(self, commit_knot: int) -> None:
         """When no new plan was found until the last one ended, the machine rests, perhaps far from
         its reference: it is led there as at the start."""
         assert self._last is not None
-        knot, motion = self._last
-        if commit_knot - knot >= self._horizon:
+        _, motion = self._last
+        if commit_knot - self._planned >= self._horizon:
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
             self._enter(motion.position[-1], start_s)
             self._wanted = self._wanted_from(commit_knot)
@@ -247,25 +272,30 @@ class Loop:
             commit_us = commit_knot * self._knot_us - self.start_us
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
-            return self._encoder.plan(motion, self._remotes, commit_knot, state, self._disturbance)
+            return self._encoder.plan(motion, self._moved, commit_knot, state, self._disturbance)
         torque = self._prediction.law.torque(state, tick.commit.tracks)
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
         tick.solution = solution = self._mpc.solve(
-            tick.commit, self._wanted, torque, self._remotes, commit_knot
+            state, self._disturbance, self._wanted, torque, self._moved, commit_knot
         )
         return solution.plan
 
     def _prepare(self, commit_knot: int) -> None:
         if self._mpc is not None:
-            self._mpc.prepare(self._guess(commit_knot), self._disturbance)
+            node_s = self._node_s(commit_knot)
+            self._mpc.prepare(self._guess(commit_knot), self._disturbance, node_s)
             self._prepared, self._wanted = commit_knot, self._wanted_from(commit_knot)
 
     def _wanted_from(self, commit_knot: int) -> Array:
         """The reference at the nodes of the horizon that begins there: states (N+1, 2n)."""
+        return np.hstack(self._reference.at(self._node_s(commit_knot))[:2])
+
+    def _node_s(self, commit_knot: int) -> Array:
+        """Times of the task at the nodes of the horizon that begins there."""
         commit_us = commit_knot * self._knot_us - self.start_us
-        at_s = (commit_us + self._node_us.astype(np.float64)) * 1e-6
-        return np.hstack(self._reference.at(at_s)[:2])
+        at_s: Array = (commit_us + self._node_us.astype(np.float64)) * 1e-6
+        return at_s
 
     def _guess(self, commit_knot: int) -> Motion:
         """The last roll-out from the new commit knot on, extended at rest."""
@@ -276,10 +306,10 @@ class Loop:
 
     def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device; and a roll-out that is a motion."""
-        if not (np.isfinite(rolled.position).all() and np.isfinite(rolled.velocity).all()):
+        if not _finite(rolled):
             return False
         first = commit_knot - 1
-        for remote, limits, plan in zip(self._remotes, self._limits, points, strict=True):
+        for remote, limits, plan in zip(self._moved, self._limits, points, strict=True):
             for sink in self._sinks:
                 result = core.gate_check_track(
                     limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
@@ -291,9 +321,9 @@ class Loop:
     def _repeat(self, knot: int) -> Outbox:
         """The committed plan's points that have not begun, unchanged."""
         first = knot + core.LIVE_KNOTS
-        ends = [r.track(core.TRACK_POSITION).end for r in self._remotes]
+        ends = [r.track(core.TRACK_POSITION).end for r in self._moved]
         count = max(3, min(max(ends) - first + 1, core.PLAN_POINTS_MAX))
-        points = [{s: r.track(s).points(first, count) for s in self._sinks} for r in self._remotes]
+        points = [{s: r.track(s).points(first, count) for s in self._sinks} for r in self._moved]
         return Outbox(first, points)
 
     def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
@@ -306,6 +336,10 @@ class Loop:
         elif ahead > 0:
             joined = [
                 {s: np.concatenate((r.track(s).points(first, ahead), plan[s])) for s in self._sinks}
-                for r, plan in zip(self._remotes, points, strict=True)
+                for r, plan in zip(self._moved, points, strict=True)
             ]
         return Outbox(first, joined, commit_knot * self._knot_us)
+
+
+def _finite(motion: Motion) -> bool:
+    return bool(np.isfinite(motion.position).all() and np.isfinite(motion.velocity).all())

@@ -109,31 +109,34 @@ NB_MODULE(_tick, m) {
              "size: of the variables; answer: () -> (variables, Answer).");
     nb::class_<Osqp, Solver>(m, "Osqp").def(
         "__init__",
-        [](Osqp *self, Numbers p, Indices pi, Indices pp, Numbers q, Numbers a, Indices ai,
-           Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
-            new (self) Osqp({p, pi, pp}, q, {a, ai, ap}, l, u, max_iterations, tolerance);
+        [](Osqp *self, Numbers p, Indices pi, Indices pp, bool p_changes, Numbers q, Numbers a,
+           Indices ai, Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
+            new (self)
+                Osqp({p, pi, pp}, p_changes, q, {a, ai, ap}, l, u, max_iterations, tolerance);
         },
-        "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "gradient"_a, "constraints"_a,
-        "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a, "max_iterations"_a,
-        "tolerance"_a,
+        "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "hessian_changes"_a, "gradient"_a,
+        "constraints"_a, "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a,
+        "max_iterations"_a, "tolerance"_a,
         "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
         "that OSQP refuses.");
     nb::class_<Hpipm, Solver>(m, "Hpipm")
         .def(
             "__init__",
-            [](Hpipm *self, std::vector<int> bounded, Matrix a, Matrix b0, Matrix b1,
-               Matrix gradient, Matrix lower, Matrix upper, Matrix column_scale, Matrix row_scale,
-               Matrix state, Matrix torque, Matrix step, Matrix approach_s, Matrix soft,
-               int max_iterations, double tolerance) {
-                int axes = (int)torque.shape(0), intervals = (int)step.shape(1);
-                new (self) Hpipm({axes, intervals, bounded, a, b0, b1, gradient, lower, upper,
-                                  column_scale, row_scale, state, torque, step, approach_s, soft},
+            [](Hpipm *self, std::vector<int> driven, std::vector<int> bounded, Matrix a, Matrix b0,
+               Matrix b1, Matrix gradient, Matrix lower, Matrix upper, Matrix column_scale,
+               Matrix row_scale, Matrix state, Matrix torque, Matrix step, Matrix curvature,
+               Matrix approach_s, Matrix soft, int max_iterations, double tolerance) {
+                int axes = (int)approach_s.size(), intervals = (int)step.shape(1);
+                new (self) Hpipm({axes, intervals, driven, bounded, a, b0, b1, gradient, lower,
+                                  upper, column_scale, row_scale, state, torque, step, curvature,
+                                  approach_s, soft},
                                  max_iterations, tolerance);
             },
-            "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a, "upper"_a,
-            "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a, "approach_s"_a,
-            "soft"_a, "max_iterations"_a, "tolerance"_a,
-            "Arrays in Fortran order, see hpipm.hpp; `bounded`: the axes with soft limits.");
+            "driven"_a, "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a, "upper"_a,
+            "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a, "curvature"_a,
+            "approach_s"_a, "soft"_a, "max_iterations"_a, "tolerance"_a,
+            "Arrays in Fortran order, see hpipm.hpp; `driven`: the axes with a motor; `bounded`: "
+            "those with soft limits.");
     nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
         .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })

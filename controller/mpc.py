@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Config
 from headway.controller._tick import Hpipm, Osqp, Solver, Tick
-from headway.controller.estimator import Estimate
 from headway.controller.motion import Motion
+from headway.controller.objective import Costs
 from headway.controller.ocp import Limits, Ocp
 from headway.controller.prediction import Prediction
 from headway.controller.tracks import Encoder
@@ -50,8 +50,15 @@ class Solution:
 class Mpc:
     """Solves the optimal control problem once a tick, warm-started."""
 
-    def __init__(self, config: Config, prediction: Prediction, encoder: Encoder) -> None:
-        ocp, n = Ocp(config, Limits.of(config)), prediction.n
+    def __init__(
+        self,
+        config: Config,
+        prediction: Prediction,
+        encoder: Encoder,
+        costs: Costs | None = None,
+    ) -> None:
+        """`costs`: of the task's own."""
+        ocp, n = Ocp(config, Limits.of(config), costs), prediction.n
         knots = config.mpc.horizon_us // config.loop.knot_us
         self._stride = knots // config.mpc.intervals
         self._prediction, self.encoder = prediction, encoder
@@ -59,6 +66,7 @@ class Mpc:
         # Arrays by name: what one function writes others read (ocp.py says what each is).
         x, u = (np.zeros((rows, ocp.intervals + 1), order="F") for rows in (2 * n, n))
         self._pool = pool = {"x": x, "u": u, "x0": x[:, :-1], "u0": u[:, :-1], "u1": u[:, 1:]}
+        pool["time_s"] = np.zeros((1, ocp.intervals + 1), order="F")
         pool |= {name: encoder.pool[name] for name in ("position", "velocity", "torque")}
         pool["start"] = encoder.pool["x"]
         pool["parameters"] = ocp.parameters[:, None]
@@ -66,8 +74,12 @@ class Mpc:
         pool["dt"][...] = ocp.interval_s
         vectors, judge = (Call(library, name, pool) for name in ("vectors", "judge"))
         before = [linearize.bound]
+        if costs is not None:
+            before.append(Call(library, "weigh", pool).bound)
         if config.mpc.backend == "osqp":  # by stages it is not needed
             before.append(assembly(library, ocp, pool).bound)
+            if costs is not None:
+                before.append(squaring(library, ocp, pool).bound)
             solver = _osqp(config, ocp, pool)
         else:
             solver = _hpipm(ocp, pool)
@@ -77,10 +89,10 @@ class Mpc:
         self._gravity = np.zeros(n)
         self._prepare_us = 0.0
 
-    def prepare(self, guess: Motion, disturbance: Array) -> None:
+    def prepare(self, guess: Motion, disturbance: Array, node_s: Array) -> None:
         """Linearizes along a motion that begins at the next commit knot, and factorizes.
 
-        disturbance: (n,), as far as it is known now.
+        disturbance: (n,), as far as it is known now; node_s: (N+1,) times of the task.
         """
         began = time.perf_counter()
         self._along = guess.position
@@ -88,13 +100,15 @@ class Mpc:
         n = len(disturbance)
         pool["x"][:n], pool["x"][n:] = guess.position[nodes].T, guess.velocity[nodes].T
         pool["u"][...], pool["assumed"][:, 0] = guess.torque[nodes].T, disturbance
+        pool["time_s"][0] = node_s
         self._gravity = self._prediction.holding(guess.position[-1], np.zeros(n))
         self._tick.prepare()
         self._prepare_us = (time.perf_counter() - began) * 1e6
 
     def solve(
         self,
-        start: Estimate,
+        start: Array,
+        disturbance: Array,
         reference: Array,
         committed_torque: Array,
         remotes: list[Remote],
@@ -102,14 +116,13 @@ class Mpc:
     ) -> Solution:
         """A plan from the commit knot on, around the motion that was prepared for it.
 
-        start: the estimate there; reference: (N+1, 2n) states at the nodes; committed_torque: (n,)
-        motor torque there.
+        start: (2n,) the state there; disturbance: (n,), as estimated by now; reference: (N+1, 2n)
+        states at the nodes; committed_torque: (n,) motor torque there, zero on passive axes.
         """
-        pool, n = self._pool, len(committed_torque)
-        d = start.z[2 * n :]
-        pool["d"][:, 0], pool["reference"][...] = d, reference.T
-        pool["committed"][:, 0], pool["holding"][:, 0] = committed_torque, self._gravity - d
-        self.encoder.commit(remotes, commit_knot, self._along, start.state(n), d)
+        pool, holding = self._pool, self._gravity - disturbance
+        pool["d"][:, 0], pool["reference"][...] = disturbance, reference.T
+        pool["committed"][:, 0], pool["holding"][:, 0] = committed_torque, holding
+        self.encoder.commit(remotes, commit_knot, self._along, start, disturbance)
         done = self._tick.feedback()
         if done.status == OSQP_SIGINT:
             signal.raise_signal(signal.SIGINT)  # OSQP caught a Ctrl-C that is not for it
@@ -126,9 +139,22 @@ def assembly(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
     return Call(library, "assemble", pool)
 
 
+def squaring(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
+    """The task's own costs' way into the Hessian's entries."""
+    pool["square_constant"] = ocp.hessian.data[:, None]
+    pool["square_scale"] = ocp.hessian_scale[:, None]
+    pool["square_entries"] = pool["square_constant"].copy(order="F")
+    return Call(library, "square", pool)
+
+
 def _osqp(config: Config, ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    _, rows, starts = _by_columns(ocp.hessian)
+    entries = pool["square_entries"][:, 0] if "square_entries" in pool else ocp.hessian.data
     return Osqp(
-        *_by_columns(ocp.hessian),
+        entries,
+        rows,
+        starts,
+        "square_entries" in pool,
         pool["gradient"][:, 0],
         pool["entries"][:, 0],
         *_by_columns(ocp.constraints)[1:],
@@ -143,11 +169,13 @@ def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
     vectors = pool["gradient"], pool["lower"], pool["upper"]
     scales, hessian, soft = ocp.stages()
     return Hpipm(
+        ocp.driven,
         ocp.bounded.tolist(),
         *(pool["a"], pool["b0"], pool["b1"]),
         *vectors,
         *scales,
         *hessian,
+        pool.get("curvature", np.empty((0, 0))),
         *soft,
         HPIPM_ITERATIONS,
         HPIPM_TOLERANCE,

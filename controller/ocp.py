@@ -2,12 +2,13 @@
 
 Real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005): the dynamics are
 linearized along the trajectory that the last tick's encoded tracks give, and one QP is solved in
-the deviations from it. Variables: states x_0..x_N (2n each), motor torques u_0..u_N at the nodes (n
-each; linear in between), one slack per axis for the soft position limits, of which a continuous
-axis has none.
+the deviations from it. Variables: states x_0..x_N (2n each), torques u_0..u_N of the w motors at
+the nodes (w each; linear in between), one slack per axis for the soft position limits, of which a
+continuous axis has none. Passive axes have no torque, no limit but soft ones, and need not rest.
 
     minimize    sum w_i |x_i - ref_i|^2_Q + |u_{i+1} - u_i|^2_S + |u_0 - committed|^2_R
                 + sum over the last two nodes |u_i - holding|^2_R + soft |s|^2
+                + the task's own costs, see objective.py
     subject to  x_0 = estimate at the commit knot
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
                 v_{N-1} = v_N = 0                        rest at the end
@@ -28,7 +29,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from headway.configs.schema import Config
 from headway.configs.section import by_axis
-from headway.models.codegen import named_function
+from headway.controller.objective import Costs
+from headway.models.codegen import among, named_function
 
 Array = NDArray[np.float64]
 
@@ -54,9 +56,9 @@ TORQUE_FLOOR = (
 
 @dataclass(frozen=True)
 class Limits:
-    """By axis; SI."""
+    """SI; torque, velocity and acceleration of the w driven axes, the others of all n."""
 
-    torque: Array  # (N+1, n), by node
+    torque: Array  # (N+1, w), by node
     velocity: Array
     acceleration: Array
     soft_min: Array  # without bounds on continuous axes
@@ -66,7 +68,7 @@ class Limits:
     @classmethod
     def of(cls, config: Config) -> Limits:
         """The plan's limits: shares of the device's, and the soft position limits."""
-        axes, mpc = config.machine.axes, config.mpc
+        axes, driven, mpc = config.machine.axes, config.machine.driven, config.mpc
         low = [a.lowest if a.soft_min is None else a.soft_min for a in axes]
         high = [a.highest if a.soft_max is None else a.soft_max for a in axes]
         room = np.array([ROOM[a.unit] for a in axes])
@@ -75,17 +77,18 @@ class Limits:
         # Zappa, Automatica 37, 2001).
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
         shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
-        velocity = HULL_SHARE * np.array([a.velocity_limit for a in axes])
+        velocity = HULL_SHARE * np.array([a.velocity_limit for a in driven.values()])
         # T v <= room and v <= 2 a T give the gate's v^2 <= 2 a room: T is such that the second
         # holds up to the fastest plan, with a share of the a that the gate counts on. An axis with
         # soft limits at both ends has the way beyond them to stop on.
-        stop = STOP_SHARE * np.array([a.deceleration for a in axes])
-        soft = [a.soft_min is not None and a.soft_max is not None for a in axes]
-        approach_s = np.where(soft, APPROACH_S, np.maximum(APPROACH_S, velocity / (2 * stop)))
+        approach_s = np.full(len(axes), APPROACH_S)
+        for speed, (i, axis) in zip(velocity, driven.items(), strict=True):
+            if axis.soft_min is None or axis.soft_max is None:
+                approach_s[i] = max(APPROACH_S, speed / (2 * STOP_SHARE * axis.deceleration))
         return cls(
-            np.outer(shares, [a.effort_limit for a in axes]),
+            np.outer(shares, [a.effort_limit for a in driven.values()]),
             velocity,
-            HULL_SHARE * np.array([a.acceleration_limit for a in axes]),
+            HULL_SHARE * np.array([a.acceleration_limit for a in driven.values()]),
             np.array(low) + room,
             np.array(high) - room,
             approach_s,
@@ -99,15 +102,17 @@ class Ocp:
     and scales, so that these need no compiler.
     """
 
-    def __init__(self, config: Config, limits: Limits) -> None:
-        mpc = config.mpc
+    def __init__(self, config: Config, limits: Limits, costs: Costs | None = None) -> None:
+        mpc, self._costs = config.mpc, costs
         n = self.n = len(config.machine.axes)
+        self.driven = list(config.machine.driven)
+        w = len(self.driven)
         self.bounded = np.flatnonzero([not axis.continuous for axis in config.machine.axes])
         count = self.intervals = mpc.intervals
         self.limits = limits
         self.interval_s = mpc.horizon_us * 1e-6 / count
         self.states = slice(0, (count + 1) * 2 * n)
-        self.torques = slice(self.states.stop, self.states.stop + (count + 1) * n)
+        self.torques = slice(self.states.stop, self.states.stop + (count + 1) * w)
         self.slacks = slice(self.torques.stop, self.torques.stop + n)
         self.size = self.slacks.stop
         share = np.linspace(0, 1, count + 1)
@@ -115,10 +120,10 @@ class Ocp:
         self._weight = np.clip(fade, 0, 1) ** 2
         weights = by_axis(mpc.position_weight, n), by_axis(mpc.velocity_weight, n)
         self._state_weight = np.concatenate(weights)
-        self._start_weight = np.array(by_axis(mpc.torque_start_weight, n))
+        self._start_weight = np.array(by_axis(mpc.torque_start_weight, n))[self.driven]
         self._soft_weight = np.maximum(by_axis(mpc.soft_weight, n), 1.0)
-        self._step_weight = np.array(by_axis(mpc.torque_step_weight, n))
-        self._effort = np.array([a.effort_limit for a in config.machine.axes])
+        self._step_weight = np.array(by_axis(mpc.torque_step_weight, n))[self.driven]
+        self._effort = np.array([a.effort_limit for a in config.machine.driven.values()])
         self.hessian = self._build_hessian()
         self._build_constraints()
         self._scale()
@@ -142,6 +147,7 @@ class Ocp:
             "approach_s": limits.approach_s[:, None],
             "column_scale": self._column_scale[:, None],
             "row_scale": self._row_scale[:, None],
+            "costs": np.empty((0, 1)) if self._costs is None else self._costs.parameters[:, None],
         }
 
     def _scale(self) -> None:
@@ -156,19 +162,25 @@ class Ocp:
         )
         self._row_scale = np.ones(self.rows)
         self._row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
-        self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:], 2)
+        self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:][self.driven], 2)
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
         self._row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
-        columns = sp.diags_array(self._column_scale)
-        self.hessian = sp.csc_matrix(columns @ self.hessian @ columns)
-        of_column = np.repeat(np.arange(self.size), np.diff(self.constraints.indptr))
-        entry_scale = self._row_scale[self.constraints.indices] * self._column_scale[of_column]
+        self.hessian_scale = self._by_entry(self.hessian, self._column_scale)
+        self.hessian.data *= self.hessian_scale
+        entry_scale = self._by_entry(self.constraints, self._row_scale)
         self.constraints.data *= entry_scale
         self.dynamics_scale = entry_scale[self._dynamics_place]
 
+    def _by_entry(self, matrix: sp.csc_matrix, row_scale: Array) -> Array:
+        """What each entry is multiplied by."""
+        of_column = np.repeat(np.arange(self.size), np.diff(matrix.indptr))
+        scale: Array = row_scale[matrix.indices] * self._column_scale[of_column]
+        return scale
+
     def _build_hessian(self) -> sp.csc_matrix:
+        """Its upper half; with costs of the task's own, with room for what they add each tick."""
         states = np.outer(self._weight, self._state_weight).ravel() + 1e-3
         shape = (self.intervals, self.intervals + 1)
         difference = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=shape)
@@ -181,11 +193,26 @@ class Ocp:
         )
         slacks = sp.diags_array(self._soft_weight)
         blocks = sp.block_diag([sp.diags_array(states), torques, slacks])
-        return sp.csc_matrix(sp.triu(2 * blocks))
+        constant: Any = sp.coo_matrix(sp.triu(2 * blocks))
+        row, column = self._curvature_entries()
+        rows, columns = np.append(constant.row, row), np.append(constant.col, column)
+        values: Array = np.append(constant.data, np.zeros(len(row)))
+        hessian = sp.csc_matrix((values, (rows, columns)), shape=(self.size, self.size))
+        hessian.sort_indices()
+        return hessian
+
+    def _curvature_entries(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows and columns of the upper half of each state's block, as far as it may be filled."""
+        if self._costs is None:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        row, column = np.triu_indices(2 * self.n)
+        first = 2 * self.n * np.arange(self.intervals + 1)[:, None]
+        return (first + row).ravel(), (first + column).ravel()
 
     def _build_constraints(self) -> None:
         """One COO entry list; entries of the dynamics are remembered, to be filled in each tick."""
-        n, count = self.n, self.intervals
+        n, w, count = self.n, len(self.driven), self.intervals
+        speeds = np.eye(2 * n)[[n + axis for axis in self.driven]]
         rows: list[NDArray[np.int64]] = []
         columns: list[NDArray[np.int64]] = []
         values: list[Array] = []
@@ -200,29 +227,29 @@ class Ocp:
             return 2 * n * i
 
         def torque(i: int) -> int:
-            return self.torques.start + n * i
+            return self.torques.start + w * i
 
         put(0, 0, np.eye(2 * n))
         row = 2 * n
         for i in range(count):  # linearized, see `_assemble`
             put(row, state(i), np.full((2 * n, 2 * n), np.nan))
-            put(row, torque(i), np.full((2 * n, n), np.nan))
-            put(row, torque(i + 1), np.full((2 * n, n), np.nan))
+            put(row, torque(i), np.full((2 * n, w), np.nan))
+            put(row, torque(i + 1), np.full((2 * n, w), np.nan))
             put(row, state(i + 1), np.eye(2 * n))
             row += 2 * n
         for i in (count - 1, count):
-            put(row, state(i) + n, np.eye(n))
-            row += n
+            put(row, state(i), speeds)
+            row += w
         self.equalities = row
-        put(row, self.torques.start, np.eye((count + 1) * n))
-        row += (count + 1) * n
+        put(row, self.torques.start, np.eye((count + 1) * w))
+        row += (count + 1) * w
         for i in range(1, count + 1):
-            put(row, state(i) + n, np.eye(n))
-            row += n
+            put(row, state(i), speeds)
+            row += w
         for i in range(count):
-            put(row, state(i) + n, -np.eye(n))
-            put(row, state(i + 1) + n, np.eye(n))
-            row += n
+            put(row, state(i), -speeds)
+            put(row, state(i + 1), speeds)
+            row += w
         self._soft_row = row
         own = np.eye(n)[self.bounded]
         for sign in (1.0, -1.0):
@@ -250,11 +277,11 @@ class Ocp:
         self,
     ) -> tuple[tuple[Array, Array], tuple[Array, Array, Array], tuple[Array, Array]]:
         """For a solver that goes by stages: the scales of variables and constraints; the Hessian's
-        diagonal of states (2n, N+1) and of torques (n, N+1), and its steps of torque from node to
-        node (n, N); T of the soft limits and the slacks' weight (n,)."""
-        n, diagonal = self.n, self.hessian.diagonal()
-        steps = -self.hessian.diagonal(n)[self.torques][:-n].reshape(-1, n).T
-        torque = diagonal[self.torques].reshape(-1, n).T
+        diagonal of states (2n, N+1) and of torques (w, N+1), and its steps of torque from node to
+        node (w, N); T of the soft limits and the slacks' weight (n,)."""
+        n, w, diagonal = self.n, len(self.driven), self.hessian.diagonal()
+        steps = -self.hessian.diagonal(w)[self.torques][:-w].reshape(-1, w).T
+        torque = diagonal[self.torques].reshape(-1, w).T
         torque[:, 1:] -= steps
         torque[:, :-1] -= steps
         state = diagonal[self.states].reshape(-1, 2 * n).T
@@ -268,8 +295,42 @@ class Ocp:
         assemble  the linearized intervals to the constraints' entries
         vectors   what the estimate decides: gradient, lower and upper bounds
         judge     an answer to its residual and to its motion at the knots
+
+        and of the task's own costs, where there are any:
+
+        weigh     the guess to their curvature and slope at the nodes
+        square    the curvature to the Hessian's entries
         """
-        return [self._assemble(), self._vectors(), self._judge(knots)]
+        common = [self._assemble(), self._vectors(), self._judge(knots)]
+        return common if self._costs is None else [*common, self._weigh(), self._square()]
+
+    def _weigh(self) -> ca.Function:
+        """x (2n, N+1): the guess; time_s (1, N+1) of the task at the nodes; to curvature
+        (2n, 2n(N+1)) and slope (2n, N+1)."""
+        assert self._costs is not None
+        nodes, p = self.intervals + 1, self._parameters()
+        x, time_s = ca.MX.sym("x", 2 * self.n, nodes), ca.MX.sym("time_s", 1, nodes)
+        share = ca.DM(np.linspace(0, 1, nodes)).T
+        every = self._costs.function.map("every", "serial", nodes, [3], [])
+        curvature, slope = every(x, time_s, share, p["costs"])
+        inputs = {"x": x, "time_s": time_s, "parameters": self._vector}
+        return named_function("weigh", inputs, {"curvature": curvature, "slope": slope})
+
+    def _square(self) -> ca.Function:
+        """curvature, and the entries' constant and scale, to all entries of the Hessian."""
+        rows, columns = self._curvature_entries()
+        place = self.hessian.copy()  # of the entries' numbers
+        place.data[:] = np.arange(1, len(place.data) + 1)
+        # Of each entry the row within its block: curvature has the blocks side by side.
+        source = ca.MX.sym("curvature", 2 * self.n, 2 * self.n * (self.intervals + 1))
+        constant = ca.MX.sym("square_constant", len(self.hessian.data))
+        scale = ca.MX.sym("square_scale", len(self.hessian.data))
+        at = (np.asarray(place[rows, columns]).ravel().astype(int) - 1).tolist()
+        taken = (rows % (2 * self.n) + 2 * self.n * columns).tolist()
+        entries = ca.MX(constant)
+        entries[at] = constant[at] + scale[at] * ca.vec(source)[taken]
+        inputs = {"curvature": source, "square_constant": constant, "square_scale": scale}
+        return named_function("square", inputs, {"square_entries": entries})
 
     def _assemble(self) -> ca.Function:
         """a, b0, b1 (intervals side by side), constant and scale of the entries to all entries."""
@@ -277,7 +338,7 @@ class Ocp:
         a, b0, b1 = self._linearized()
         # The generated code has them column by column; in the list they stand row by row.
         of_a = np.arange(a.numel()).reshape(count, 2 * n, 2 * n).transpose(0, 2, 1)
-        of_b = np.arange(b0.numel()).reshape(count, n, 2 * n).transpose(0, 2, 1)
+        of_b = np.arange(b0.numel()).reshape(count, n, 2 * n).transpose(0, 2, 1)[:, :, self.driven]
         parts = (0, of_a), (a.numel(), of_b), (a.numel() + b0.numel(), of_b)
         source = np.hstack([(first + part).reshape(count, -1) for first, part in parts])
         constant = ca.MX.sym("constant", len(self.constraints.data))
@@ -292,22 +353,24 @@ class Ocp:
         """x, u: the guess; after: linearized along it, for the disturbance `assumed`; start (2n,):
         the state at the commit knot, d: the disturbance; reference (2n, N+1); committed, holding
         (n,): the torques that the plan should begin and end with. To the vectors, and to the
-        torque around which they are.
+        torque (w, N+1) around which they are.
         """
-        n, count, p = self.n, self.intervals, self._parameters()
+        n, w, count, p = self.n, len(self.driven), self.intervals, self._parameters()
+        driven, moved = self.driven, [n + axis for axis in self.driven]
         (x, linearized), after = self._nodes(), ca.MX.sym("after", 2 * n, count)
         start, reference = ca.MX.sym("start", 2 * n), ca.MX.sym("reference", 2 * n, count + 1)
         assumed, d = ca.MX.sym("assumed", n), ca.MX.sym("d", n)
         committed, holding = ca.MX.sym("committed", n), ca.MX.sym("holding", n)
 
         # The same motion under another disturbance takes as much less torque: nothing else changes.
-        u = linearized - (d - assumed)
-        q, v, change = x[:n, :], x[n:, :], x[n:, 1:] - x[n:, :-1]
-        equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(v[:, -2:])
+        u = (linearized - (d - assumed))[driven, :]
+        q, v, speed = x[:n, :], x[n:, :], x[moved, :]
+        change = speed[:, 1:] - speed[:, :-1]
+        equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(speed[:, -2:])
         all_along = ca.DM.ones(1, count)
         pairs = (
             (u, p["torque"]),
-            (v[:, 1:], p["velocity"] @ all_along),
+            (speed[:, 1:], p["velocity"] @ all_along),
             (change, p["change"] @ all_along),
         )
         soft_min, soft_max = self._soft_limits(p, start[:n])
@@ -321,16 +384,20 @@ class Ocp:
         clipped = ca.fmin(ca.fmax(reference[:n, :], soft_min), soft_max)
         still = ca.if_else(clipped == reference[:n, :], reference[n:, :], 0)
         error = (x - ca.vertcat(clipped, still)) * p["state_weight"] * _rows(p["weight"], 2 * n)
-        ends = ca.horzcat(u[:, 0] - committed, ca.MX(n, count - 2), u[:, -2:] - holding)
-        step = (u[:, 1:] - u[:, :-1]) * _rows(self._smoothness(p["weight"][1:]), n)
-        none = ca.MX(n, 1)
+        ends = ca.horzcat(
+            u[:, 0] - committed[driven], ca.MX(w, count - 2), u[:, -2:] - holding[driven]
+        )
+        step = (u[:, 1:] - u[:, :-1]) * _rows(self._smoothness(p["weight"][1:]), w)
+        none = ca.MX(w, 1)
         steps = ca.horzcat(none, step) - ca.horzcat(step, none) + TORQUE_FLOOR * u
         torque = steps * p["step_weight"] + ends * p["start_weight"]
-        gradient = ca.vertcat(2 * ca.vec(error), 2 * ca.vec(torque), none)
+        slope = ca.MX.sym("slope", 2 * n, 0 if self._costs is None else count + 1)
+        own = ca.MX(error.shape[0], error.shape[1]) if self._costs is None else slope
+        gradient = ca.vertcat(ca.vec(2 * error + own), 2 * ca.vec(torque), ca.MX(n, 1))
         inputs = {
             "x": x, "u": linearized, "after": after, "assumed": assumed,
             "start": start, "d": d, "reference": reference, "committed": committed,
-            "holding": holding, "parameters": self._vector,
+            "holding": holding, "slope": slope, "parameters": self._vector,
         }  # fmt: skip
         outputs = {
             "gradient": gradient * p["column_scale"],
@@ -342,27 +409,30 @@ class Ocp:
 
     def _judge(self, knots: int) -> ca.Function:
         """z: an answer; x, around, a, b0, b1, lower, upper as above; to its residual, and to
-        position, velocity and torque at the knots (n, K+1).
+        position, velocity and torque at the knots (n, K+1); passive axes have no torque.
 
         The residual is the largest violation of any constraint but the soft ones, in parts of its
         tolerance: up to one is good. It is evaluated on the blocks, not on the solver's matrix.
         """
-        n, count, p = self.n, self.intervals, self._parameters()
-        (x, u), (a, b0, b1) = self._nodes(), self._linearized()
-        z = ca.MX.sym("z", self.size)
+        n, w, count, p = self.n, len(self.driven), self.intervals, self._parameters()
+        (x, _), (a, b0, b1) = self._nodes(), self._linearized()
+        u, z = ca.MX.sym("around", w, count + 1), ca.MX.sym("z", self.size)
         rows = self._soft_row
         lower, upper = ca.MX.sym("lower", self.rows), ca.MX.sym("upper", self.rows)
-        unscaled = z * p["column_scale"]
+        driven, unscaled = self.driven, z * p["column_scale"]
         dx = ca.reshape(unscaled[self.states], 2 * n, count + 1)
-        du = ca.reshape(unscaled[self.torques], n, count + 1)
+        du = ca.reshape(unscaled[self.torques], w, count + 1)
         intervals = zip(
             *(ca.horzsplit(part, 2 * n if part is a else n) for part in (a, b0, b1)), strict=True
         )
         defects = [
-            dx[:, i + 1] - a_i @ dx[:, i] - b0_i @ du[:, i] - b1_i @ du[:, i + 1]
+            dx[:, i + 1]
+            - a_i @ dx[:, i]
+            - b0_i[:, driven] @ du[:, i]
+            - b1_i[:, driven] @ du[:, i + 1]
             for i, (a_i, b0_i, b1_i) in enumerate(intervals)
         ]
-        dv = dx[n:, :]
+        dv = dx[[n + axis for axis in driven], :]
         value = ca.vertcat(
             dx[:, 0], *defects, ca.vec(dv[:, -2:]), ca.vec(du), ca.vec(dv[:, 1:]),
             ca.vec(dv[:, 1:] - dv[:, :-1]),
@@ -371,16 +441,16 @@ class Ocp:
         excess = ca.fmax(lower[:rows] / scale - value, value - upper[:rows] / scale)
         state = ca.vertcat(ca.DM.ones(n) * POSITION_TOLERANCE, ca.DM.ones(n) * VELOCITY_TOLERANCE)
         torques = ca.vec(TORQUE_TOLERANCE_SHARE * p["effort"] @ ca.DM.ones(1, count + 1))
-        others = ca.DM.ones(rows - self.equalities - n * (count + 1)) * VELOCITY_TOLERANCE
-        rest = ca.DM.ones(2 * n) * VELOCITY_TOLERANCE
+        others = ca.DM.ones(rows - self.equalities - w * (count + 1)) * VELOCITY_TOLERANCE
+        rest = ca.DM.ones(2 * w) * VELOCITY_TOLERANCE
         tolerance = ca.vertcat(ca.repmat(state, count + 1), rest, torques, others)
         residual = ca.mmax(excess / tolerance)
 
         along = Interpolation(count, knots // count, self.interval_s)
-        position, velocity = along.states(x[:n, :] + dx[:n, :], x[n:, :] + dv)
+        position, velocity = along.states(x[:n, :] + dx[:n, :], x[n:, :] + dx[n:, :])
         limit = p["torque"][:, 0] @ ca.DM.ones(1, knots + 1)
         # The spline may swing beyond its nodes.
-        torque = ca.fmin(ca.fmax(along.torques(u + du), -limit), limit)
+        torque = among(ca.fmin(ca.fmax(along.torques(u + du), -limit), limit), driven, n)
         inputs = {
             "z": z, "x": x, "around": u, "a": a, "b0": b0, "b1": b1, "lower": lower, "upper": upper,
             "parameters": self._vector,

@@ -12,10 +12,10 @@ static OSQPCscMatrix view(Sparse &m, OSQPInt rows) {
     return csc;
 }
 
-Osqp::Osqp(Sparse hessian, Numbers gradient, Sparse constraints, Numbers lower, Numbers upper,
-           int max_iterations, double tolerance)
-    : gradient_(gradient), lower_(lower), upper_(upper), data_(constraints.data),
-      idle_(gradient.size(), 0.0) {
+Osqp::Osqp(Sparse hessian, bool hessian_changes, Numbers gradient, Sparse constraints,
+           Numbers lower, Numbers upper, int max_iterations, double tolerance)
+    : hessian_(hessian.data), hessian_changes_(hessian_changes), gradient_(gradient), lower_(lower),
+      upper_(upper), data_(constraints.data), idle_(gradient.size(), 0.0) {
     OSQPSettings settings;
     osqp_set_default_settings(&settings);
     settings.verbose = 0;
@@ -38,7 +38,9 @@ Osqp::Osqp(Sparse hessian, Numbers gradient, Sparse constraints, Numbers lower, 
 }
 
 bool Osqp::update() {
-    return osqp_update_data_mat(solver_.get(), nullptr, nullptr, 0, data_.data(), nullptr,
+    OSQPFloat *hessian = hessian_changes_ ? hessian_.data() : nullptr;
+    return osqp_update_data_mat(solver_.get(), hessian, nullptr,
+                                hessian ? (OSQPInt)hessian_.size() : 0, data_.data(), nullptr,
                                 (OSQPInt)data_.size()) == 0;
 }
 

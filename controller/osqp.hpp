@@ -25,14 +25,17 @@ struct Sparse { // by columns
 
 class Osqp : public Solver {
   public:
-    // P's upper half, q, A, l and u. The arrays stay where they are and are read again.
-    Osqp(Sparse hessian, Numbers gradient, Sparse constraints, Numbers lower, Numbers upper,
-         int max_iterations, double tolerance);
+    // P's upper half, q, A, l and u. The arrays stay where they are and are read again, P only if it
+    // changes.
+    Osqp(Sparse hessian, bool hessian_changes, Numbers gradient, Sparse constraints, Numbers lower,
+         Numbers upper, int max_iterations, double tolerance);
     bool update() override;
     Answer solve(double *z) override;
     void forget() override;
 
   private:
+    Numbers hessian_;
+    bool hessian_changes_;
     Numbers gradient_, lower_, upper_, data_;
     std::vector<double> idle_; // where each solution is looked for first: no deviation at all
     std::unique_ptr<OSQPSolver, OSQPInt (*)(OSQPSolver *)> solver_{nullptr, osqp_cleanup};

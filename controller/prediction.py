@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoLaw:
-    """The servos' configured gains and their limits in SI, by axis."""
+    """The servos' configured gains and their limits in SI, by axis: zeros on passive ones."""
 
     kp: Array  # [Nm/rad or N/m]
     kd: Array  # [Nm s/rad or N s/m]
@@ -30,13 +30,18 @@ class ServoLaw:
     @classmethod
     def of(cls, axes: list[Axis]) -> ServoLaw:
         """From the config's axes."""
-        return cls(
-            np.array([a.servo.kp for a in axes]),
-            np.array([a.servo.kd for a in axes]),
-            np.array([a.motor.damping for a in axes]),
-            np.array([a.effort_limit for a in axes]),
-            np.array([a.coulomb for a in axes]),
-        )
+        drives = [
+            (0.0, 0.0, 0.0) if axis.passive else (axis.servo.kp, axis.servo.kd, axis.motor.damping)
+            for axis in axes
+        ]
+        kp, kd, emf = np.array(drives).T
+        limit, coulomb = ([a.effort_limit for a in axes], [a.coulomb for a in axes])
+        return cls(kp, kd, emf, np.array(limit), np.array(coulomb))
+
+    @property
+    def driven(self) -> list[int]:
+        """Indices of the axes with a motor."""
+        return np.flatnonzero(self.limit > 0).tolist()
 
     @property
     def parameters(self) -> Array:
@@ -96,10 +101,11 @@ class Prediction:
         return torque
 
     def holding(self, q: Array, disturbance: Array) -> Array:
-        """Motor torques (n,) that hold the machine at rest at q (n,)."""
+        """Motor torques (n,) that hold the machine at rest at q (n,); none on passive axes, which
+        may fall."""
         still = np.zeros_like(q)[None]
         torque: Array = self.inverse_dynamics(q[None], still, still)[0] - disturbance
-        return torque
+        return np.where(self.law.limit > 0, torque, 0.0)
 
 
 def _symbols(n: int) -> tuple[Any, ...]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from headway.configs.schema import Config, Task
+from headway.controller.objective import Costs, read_costs
+from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -42,6 +44,10 @@ def task_reference(config: Config, folder: Path) -> TaskReference:
     """Of a config whose relative paths start at `folder`. Raises ValueError for a file that cannot
     be followed."""
     task = config.task
+    if task.kind == "custom":
+        assert task.file is not None and task.target_rad_or_m is not None
+        source = (folder / task.file).resolve()
+        return Custom(source, np.array(task.target_rad_or_m), task.parameters)
     if task.file is not None:
         joints = [axis.joint for axis in config.machine.axes]
         return Stamped.read((folder / task.file).resolve(), joints)
@@ -95,6 +101,18 @@ class Target:
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
         still = np.zeros((len(time_s), len(self._position)))
         return np.tile(self._position, (len(time_s), 1)), still, still.copy()
+
+
+class Custom(Target):
+    """Costs of the task's own, beside a position to be at."""
+
+    def __init__(self, source: Path, position: Array, parameters: dict[str, float]) -> None:
+        super().__init__(position)
+        self._source, self._parameters = source, parameters
+
+    def costs(self, machine: Machine) -> Costs:
+        """Raises ValueError where the user's file is wrong."""
+        return read_costs(self._source, machine, self._position, self._parameters)
 
 
 class Stamped:

@@ -59,6 +59,7 @@ class Start:
     ) -> None:
         self._axes, self._period_us = config.machine.axes, config.device.servo_period_us
         self._joints = [axis.joint for axis in self._axes]
+        self._driven = list(config.machine.driven)  # the others are only listened to
         self._remotes, self._units, self._prediction = remotes, units, prediction
         self._gains = gains
         self._margin = config.loop.margin_knots
@@ -145,15 +146,17 @@ class Start:
 
     def _arm(self) -> None:
         self._resumed = [bool(r.status and r.status.state == HOLD) for r in self._remotes]
-        for device, (remote, units) in enumerate(zip(self._remotes, self._units, strict=True)):
+        for device in self._driven:
             if self._resumed[device]:
-                remote.ask("RESUME")
+                self._remotes[device].ask("RESUME")
             else:
-                remote.ask("ARM", int(units.torque_points(self.torque[device])))
+                torque_tq = self._units[device].torque_points(self.torque[device])
+                self._remotes[device].ask("ARM", int(torque_tq))
 
     def _armed(self) -> bool:
         """Whether every device has taken its load."""
-        for axis, units, remote in zip(self._axes, self._units, self._remotes, strict=True):
+        for device in self._driven:
+            axis, units, remote = self._axes[device], self._units[device], self._remotes[device]
             answer, status = remote.answer(), remote.status
             if answer is None or status is None:
                 continue
@@ -161,11 +164,10 @@ class Start:
                 raise DeviceError(f"{axis.joint}: the device does not arm: {answer}")
             if status.state != ARMED:
                 raise DeviceError(f"{axis.joint}: {why(status, axis, units, self._period_us)}")
-        if all(remote.answer() for remote in self._remotes):
+        late = [self._joints[d] for d in self._driven if not self._remotes[d].answer()]
+        if not late:
             return True
         if self._ticks > ARM_TICKS:
-            pairs = zip(self._joints, self._remotes, strict=True)
-            late = [joint for joint, remote in pairs if not remote.answer()]
             raise DeviceError(f"{', '.join(late)}: not armed within {ARM_TICKS} ticks")
         return False
 
@@ -199,18 +201,21 @@ class Start:
     def _still(self) -> list[Points]:
         """Points that stand still at the position, with the torque that holds it and the gains."""
         gains = self._gains.still(self.position, STILL_POINTS)
-        return [
-            {
-                core.TRACK_POSITION: units.position_points(np.full(STILL_POINTS, position)),
-                core.TRACK_TORQUE: units.torque_points(np.full(STILL_POINTS, torque)),
+
+        def points(axis: int, of_axis: Points) -> Points:
+            units, still = self._units[axis], np.ones(STILL_POINTS)
+            return {
+                core.TRACK_POSITION: units.position_points(self.position[axis] * still),
+                core.TRACK_TORQUE: units.torque_points(self.torque[axis] * still),
                 **of_axis,
             }
-            for units, position, torque, of_axis in zip(
-                self._units, self.position, self.torque, gains, strict=True
-            )
-        ]
+
+        return [points(axis, mine) for axis, mine in zip(self._driven, gains, strict=True)]
 
     def _check_started(self) -> None:
-        for joint, remote in zip(self._joints, self._remotes, strict=True):
-            if remote.status is None or remote.status.plan_accepted == 0:
-                raise DeviceError(f"{joint}: the device did not accept the first plan")
+        for device in self._driven:
+            status = self._remotes[device].status
+            if status is None or status.plan_accepted == 0:
+                raise DeviceError(
+                    f"{self._joints[device]}: the device did not accept the first plan"
+                )

@@ -26,7 +26,7 @@ from headway.controller.prediction import Prediction
 from headway.devices import core
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
-from headway.models.codegen import Array, Call, compile_functions, named_function
+from headway.models.codegen import Array, Call, among, compile_functions, named_function
 
 POSITION_CURVATURE_WEIGHT = 100.0  # knots^4: of a step, half is gone after 5 knots
 TORQUE_CURVATURE_WEIGHT = 0.002
@@ -81,14 +81,15 @@ class Encoder:
     """Encodes a motion and rolls the servos' model through what was encoded.
 
     `encoding` encodes the motion that stands in `pool`: position, velocity and torque (n, K+1), a
-    column a knot.
+    column a knot. Points, units and remotes are those of the driven axes; a passive one has none.
     """
 
     def __init__(
         self, prediction: Prediction, units: list[AxisUnits], gains: Gains, loop: Loop
     ) -> None:
-        n, knots = prediction.n, prediction.horizon_knots
+        n, knots, driven = prediction.n, prediction.horizon_knots, prediction.law.driven
         self._n, self._gains, self._law, self._units = n, gains, prediction.law, units
+        self._driven = driven
         self._h = loop.knot_us * 1e-6
         # Of knots and half-way between them, where a plan's first point is number 0.
         steps = loop.knot_us // 2 * np.arange(2, 2 * knots + 3)
@@ -99,7 +100,9 @@ class Encoder:
         }
         self._gain_fit = Fit(knots, POSITION_CURVATURE_WEIGHT)
         self._gain_points: list[Points] = [{} for _ in units]
-        library = compile_functions("encoder", [_encode(n, knots, self._h), _relieve(n, knots)])
+        library = compile_functions(
+            "encoder", [_encode(n, driven, knots, self._h), _relieve(n, driven, knots)]
+        )
         self.pool = pool = dict[str, Array]()
         encode = Call(library, "encode", pool)
         tracks = pool["tracks"]
@@ -128,13 +131,13 @@ class Encoder:
     ) -> None:
         """Takes over what the devices have from `knot` - 1 on: the first three points of each
         track. Gains follow `position` (K+1, n), which need not be the motion to the last bit."""
-        n, sinks = self._n, (core.TRACK_POSITION, core.TRACK_TORQUE)
+        width, sinks = len(self._driven), (core.TRACK_POSITION, core.TRACK_TORQUE)
         tracks = [remote.track(sink) for sink in sinks for remote in remotes]
         points = core.track_points(tracks, knot - 1, 3)
-        axes = zip(self._units, points[:n], position[0].tolist(), strict=True)
+        axes = zip(self._units, points[:width], position[0, self._driven].tolist(), strict=True)
         unwrapped = np.array([units.unwrapped(of_axis, near) for units, of_axis, near in axes])
         self.pool["r0"][...] = unwrapped / self._scale[core.TRACK_POSITION][:, None]
-        self.pool["f0"][...] = points[n:] / self._scale[core.TRACK_TORQUE][:, None]
+        self.pool["f0"][...] = points[width:] / self._scale[core.TRACK_TORQUE][:, None]
         if self._gains.sinks:
             self._gain_points = self.gain_points(position, remotes, knot)
             feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
@@ -146,13 +149,14 @@ class Encoder:
         committed ones."""
         # By way of int64: on a continuous axis a position goes on from 2^31 at -2^31.
         points = self.pool["points"].astype(np.int64).astype(np.int32, order="C")
+        width = len(self._driven)
         return [
             {
                 core.TRACK_POSITION: points[axis],
-                core.TRACK_TORQUE: points[self._n + axis],
+                core.TRACK_TORQUE: points[width + axis],
                 **self._gain_points[axis],
             }
-            for axis in range(self._n)
+            for axis in range(width)
         ]
 
     def rolled(self) -> Motion:
@@ -198,24 +202,34 @@ def _largest(values: Any) -> Any:
     return ca.vertcat(*(ca.mmax(ca.fabs(row)) for row in ca.vertsplit(values)))
 
 
-def _encode(n: int, knots: int, h: float) -> ca.Function:
-    """position, velocity, torque (n, K+1): the motion; r0, f0 (n, 3): committed points; feedback
-    (2n, 2K+1): [Kp, Kd + c] at the knots and half-way between; relief (n, K+1): taken off the
-    torque track; quanta (2n,): of position and torque, per unit; limit (n,): of the torque; all SI.
+def _encode(n: int, driven: list[int], knots: int, h: float) -> ca.Function:
+    """position, velocity, torque (n, K+1): the motion; r0, f0 (w, 3): committed points of the w
+    driven axes; feedback (2n, 2K+1): [Kp, Kd + c] at the knots and half-way between; relief
+    (n, K+1): taken off the torque track; quanta (2w,): of position and torque, per unit; limit
+    (n,): of the torque; all SI.
 
-    To the points of r and f (2n, K+3) in quanta, to the tracks [r, r', f, Kp, Kd + c] at the knots
+    To the points of r and f (2w, K+3) in quanta, to the tracks [r, r', f, Kp, Kd + c] at the knots
     (5n, K+1) and half-way between them (5n, K), to the torque that the tracks give along the motion
     itself, minus the motion's own (n, K+1), and to the largest of that once the points are free.
     """
+    w = len(driven)
     sizes = {
         "position": (n, knots + 1), "velocity": (n, knots + 1), "torque": (n, knots + 1),
-        "r0": (n, 3), "f0": (n, 3), "feedback": (2 * n, 2 * knots + 1), "relief": (n, knots + 1),
-        "quanta": (2 * n, 1), "limit": (n, 1),
+        "r0": (w, 3), "f0": (w, 3), "feedback": (2 * n, 2 * knots + 1), "relief": (n, knots + 1),
+        "quanta": (2 * w, 1), "limit": (n, 1),
     }  # fmt: skip
     inputs = {name: ca.MX.sym(name, *size) for name, size in sizes.items()}
-    position, velocity, torque, r0, f0, feedback, relief, quanta, limit = inputs.values()
+    r0, f0, feedback, quanta = (inputs[name] for name in ("r0", "f0", "feedback", "quanta"))
+    position, velocity, torque, relief, limit = (
+        inputs[name][driven, :] for name in ("position", "velocity", "torque", "relief", "limit")
+    )
     at, between = feedback[:, ::2], feedback[:, 1::2]
+    kp, damping = at[driven, :], at[[n + axis for axis in driven], :]
     ceiling = ca.repmat(limit, 1, knots + 1), ca.repmat(limit, 1, knots + 3)
+
+    def every(rows: Any) -> Any:
+        """Rows of the driven axes among zeros of the passive ones."""
+        return among(rows, driven, n)
 
     def clip(values: Any, ceiling: Any) -> Any:
         return ca.fmin(ca.fmax(values, -ceiling), ceiling)
@@ -223,21 +237,20 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
     def whole(points: Any, per_unit: Any) -> Any:
         return ca.floor(points * per_unit + 0.5)
 
-    r_points = whole(Fit(knots, POSITION_CURVATURE_WEIGHT)(position, r0), quanta[:n])
-    r = r_points / quanta[:n]
+    r_points = whole(Fit(knots, POSITION_CURVATURE_WEIGHT)(position, r0), quanta[:w])
+    r = r_points / quanta[:w]
     value, rate = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h
-    feedback_torque = at[:n, :] * (value - position) + at[n:, :] * (rate - velocity)
+    feedback_torque = kp * (value - position) + damping * (rate - velocity)
     f = clip(torque - feedback_torque - relief, ceiling[0])
-    f = whole(Fit(knots, TORQUE_CURVATURE_WEIGHT)(f, f0), quanta[n:]) / quanta[n:]
+    f = whole(Fit(knots, TORQUE_CURVATURE_WEIGHT)(f, f0), quanta[w:]) / quanta[w:]
     f = clip(f, ceiling[1])
     effort = _at_knots(f, VALUE)
-    tracks = ca.vertcat(value, rate, effort, at)
-    middles = ca.vertcat(
-        _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE), between
-    )
-    departure = effort + feedback_torque - torque
+    tracks = ca.vertcat(*map(every, (value, rate, effort)), at)
+    half_way = _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
+    middles = ca.vertcat(*map(every, half_way), between)
+    departure = every(effort + feedback_torque - torque)
     outputs = {
-        "points": ca.vertcat(r_points, whole(f, quanta[n:])),
+        "points": ca.vertcat(r_points, whole(f, quanta[w:])),
         "tracks": tracks,
         "middles": middles,
         "departure": departure,
@@ -246,7 +259,7 @@ def _encode(n: int, knots: int, h: float) -> ca.Function:
     return named_function("encode", inputs, outputs)
 
 
-def _relieve(n: int, knots: int) -> ca.Function:
+def _relieve(n: int, driven: list[int], knots: int) -> ca.Function:
     """x (2n,), states (2n, K): a roll-out; tracks (5n, K+1) at the knots; relief (n, K+1) so far;
     limit (n,).
 
@@ -265,7 +278,7 @@ def _relieve(n: int, knots: int) -> ca.Function:
     excess = free - ca.fmin(ca.fmax(free, -0.995 * ceiling), 0.995 * ceiling)
     # A little more than the excess, since the fit smoothes.
     more = relief + RELIEF * ca.horzcat(ca.MX(n, FIXED_KNOTS), excess)
-    over = ca.mmax(ca.fabs(free) - ceiling)
+    over = ca.mmax(ca.fabs(free[driven, :]) - ceiling[driven, :])
     outputs = {"motor": torque, "more": more, "over": over, "reached": _largest(free)}
     return named_function("relieve", inputs, outputs)
 
@@ -274,11 +287,17 @@ class Commitment:
     """What the devices execute, as far as the host knows, as a function of system time."""
 
     def __init__(
-        self, remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop
+        self,
+        remotes: list[Remote],
+        units: list[AxisUnits],
+        gains: Gains,
+        loop: Loop,
+        driven: list[int],
     ) -> None:
+        """`remotes` and `units` are those of the axes `driven`."""
         self._remotes, self._gains, self._shift = remotes, gains, loop.knot_shift
-        self._units = units
-        self._continuous = [axis for axis, u in enumerate(units) if u.continuous]
+        self._units, self._driven = units, driven
+        self._continuous = [i for i, u in enumerate(units) if u.continuous]
         position = 1 / np.array([u.pq_per_unit for u in units])
         torque = 1 / np.array([u.tq_per_effort for u in units])
         self._quanta = np.concatenate((position, position / (loop.knot_us * 1e-6), torque))
@@ -286,19 +305,25 @@ class Commitment:
     def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
-        n = len(self._remotes)
+        w, n = len(self._driven), len(near)
         position, torque = (
             [remote.track(sink) for remote in self._remotes]
             for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
         )
-        values = np.empty((len(times_us), TRACK_ROWS * n))
-        r, rate, f = values[:, :n], values[:, n : 2 * n], values[:, 2 * n : 3 * n]
+        moved = np.empty((len(times_us), 3 * w))
+        r, rate, f = moved[:, :w], moved[:, w : 2 * w], moved[:, 2 * w :]
         core.evaluate_tracks(position, times_us, self._shift, r, rate)
         core.evaluate_tracks(torque, times_us, self._shift, f)
-        for axis in self._continuous:
-            r[:, axis] = self._units[axis].unwrapped(r[:, axis].astype(np.int32), near[axis])
-        values[:, : 3 * n] *= self._quanta
-        values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
+        for i in self._continuous:
+            at = near[self._driven[i]]
+            r[:, i] = self._units[i].unwrapped(r[:, i].astype(np.int32), at)
+        moved *= self._quanta
+        feedback = self._gains.feedback(self._track, times_us)
+        if w == n:
+            return np.hstack((moved, feedback))
+        values = np.zeros((len(times_us), TRACK_ROWS * n))
+        values[:, [row * n + axis for row in range(3) for axis in self._driven]] = moved
+        values[:, 3 * n :] = feedback
         return values
 
     def _track(self, axis: int, sink: int) -> core.Track:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.configs.axis import Axis
+from headway.configs.axis import Axis, DrivenAxis
 from headway.configs.schema import Device, Loop
 from headway.firmware import _core
 
@@ -40,7 +40,9 @@ class AxisUnits:
     @classmethod
     def of(cls, axis: Axis, loop: Loop) -> AxisUnits:
         """Quanta for an axis of the config."""
-        tq_per_effort = 10.0 ** math.floor(math.log10(_core.TORQUE_MAX / axis.effort_limit))
+        tq_per_effort = 1.0  # of a passive axis, which has no effort
+        if not axis.passive:
+            tq_per_effort = 10.0 ** math.floor(math.log10(_core.TORQUE_MAX / axis.effort_limit))
         pq_per_unit = axis.counts_per_unit * (1 << _core.COUNT_BITS)
         return cls(pq_per_unit, tq_per_effort, loop.knot_us * 1e-6, axis.continuous)
 
@@ -107,7 +109,7 @@ def gain_factors(device: Device, units: AxisUnits) -> dict[int, float]:
     }
 
 
-def gain_scales(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core.Scale]:
+def gain_scales(axis: DrivenAxis, device: Device, units: AxisUnits) -> dict[int, _core.Scale]:
     """By sink, the configured gain as the device has it. A gain track's control points are such a
     scale's mantissa, Q8.
 
@@ -118,7 +120,7 @@ def gain_scales(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core
     return {sink: scale_of(gain * factors[sink]) for sink, gain in gains.items()}
 
 
-def gain_limits(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core.GateLimits]:
+def gain_limits(axis: DrivenAxis, device: Device, units: AxisUnits) -> dict[int, _core.GateLimits]:
     """By sink, the gate's limits on a gain's control points: from zero to the configured gain, all
     the way in GAIN_KNOTS at the fastest. As both differences have the same limit, a gain track may
     stop anywhere."""
@@ -130,7 +132,7 @@ def gain_limits(axis: Axis, device: Device, units: AxisUnits) -> dict[int, _core
     return limits
 
 
-def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
+def position_limits(axis: DrivenAxis, units: AxisUnits) -> _core.GateLimits:
     """The gate's limits on position control points.
 
     Raises ValueError if one does not fit the device's integers.
@@ -167,7 +169,7 @@ def position_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
     )
 
 
-def torque_limits(axis: Axis, units: AxisUnits) -> _core.GateLimits:
+def torque_limits(axis: DrivenAxis, units: AxisUnits) -> _core.GateLimits:
     """The gate's limits on torque control points; their differences are bounded by the range."""
     limit = math.floor(axis.effort_limit * units.tq_per_effort)
     step = min(2 * limit, _core.DIFFERENCE_MAX)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from headway.configs.axis import Axis
+from headway.configs.axis import Axis, DrivenAxis
 from headway.configs.schema import Device, Loop, Sync
 from headway.devices.axis import (
     AxisUnits,
@@ -29,6 +29,7 @@ STUCK_COUNTS, STUCK_S = 128, 0.1  # of the setpoint, or pushing hard, without a 
 JOG_SHARE, JOG_RAMP_S = 0.05, 0.2  # of the velocity limit; until that is reached
 SLOW_Q16 = 2**30 - 1  # the fastest that a board homes or jogs, in its own quanta
 SYNC_METHODS = ["bounds", "average"]
+SPIKE_MAX = 2**18 - 1  # counts: none is one
 STILL_S = 0.08  # pushing against a stop without a count
 
 
@@ -37,6 +38,36 @@ def device_settings(axis: Axis, device: Device, loop: Loop, sync: Sync) -> _core
 
     Raises ValueError if a limit or a gain does not fit the device's integers.
     """
+    settings = _core.DeviceSettings()
+    settings.name = axis.joint.encode()[:NAME_MAX].decode(errors="ignore")
+    settings.knot_shift = loop.knot_shift
+    settings.servo_period_us = device.servo_period_us
+    settings.sample_every = device.sample_every
+    settings.brake_periods = round(device.brake_us / device.servo_period_us)
+    settings.stop_us, settings.sync_lost_us = device.stop_us, device.sync_lost_us
+    settings.knot_periods = scale_of(loop.knot_us / device.servo_period_us)
+    settings.sync, settings.dither_us = sync_settings(sync), sync.dither_us
+    if axis.passive:
+        _encoder_alone(settings)
+    else:
+        _drive(settings, axis, device, loop)
+    return settings
+
+
+def _encoder_alone(settings: _core.DeviceSettings) -> None:
+    """A board without a motor: no sink has limits, so that it takes no track; whatever it may be
+    asked for, its duty is zero. All else is the least that settings may be."""
+    servo, monitor, home = _core.ServoSettings(), _core.MonitorSettings(), _core.HomeSettings()
+    servo.torque_limit_tq = settings.torque_step_tq = 1
+    monitor.following_pq = monitor.speed_pq = monitor.stuck_pq = 1
+    monitor.deceleration_q16 = monitor.rise_q16 = 1
+    monitor.spike_counts, monitor.chopper_mV = SPIKE_MAX, 2**31 - 1
+    home.method, home.acceleration_q16 = _core.HOME_METHODS.index("none"), 1
+    settings.servo, settings.monitor, settings.home = servo, monitor, home
+
+
+def _drive(settings: _core.DeviceSettings, axis: DrivenAxis, device: Device, loop: Loop) -> None:
+    """The motor and its servo, what it may do and what it does about gaps."""
     units = AxisUnits.of(axis, loop)
     period_s = device.servo_period_us * 1e-6
     tq_per_pq = units.tq_per_effort / units.pq_per_unit
@@ -55,32 +86,22 @@ def device_settings(axis: Axis, device: Device, loop: Loop, sync: Sync) -> _core
     servo.torque_limit_tq = round(axis.effort_limit * units.tq_per_effort)
     servo.integrate_running = device.integrate_while_running
 
-    settings = _core.DeviceSettings()
-    settings.name = axis.joint.encode()[:NAME_MAX].decode(errors="ignore")
-    settings.knot_shift = loop.knot_shift
-    settings.servo_period_us = device.servo_period_us
-    settings.sample_every = device.sample_every
-    settings.brake_periods = round(device.brake_us / device.servo_period_us)
-    settings.stop_us, settings.sync_lost_us = device.stop_us, device.sync_lost_us
     settings.torque_step_tq = math.ceil(servo.torque_limit_tq * period_s / TORQUE_SLEW_S)
-    settings.knot_periods = scale_of(loop.knot_us / device.servo_period_us)
     settings.carries_gravity = axis.carries_gravity
     settings.servo = servo
     settings.set_limits(_core.TRACK_POSITION, position_limits(axis, units))
     settings.set_limits(_core.TRACK_TORQUE, torque_limits(axis, units))
     settings.monitor = monitor_settings(axis, device, loop)
     settings.home = home_settings(axis, device, units)
-    settings.sync, settings.dither_us = sync_settings(sync), sync.dither_us
     policies = _core.GAP_POLICIES
     settings.set_gap_policy(_core.TRACK_POSITION, policies.index(device.position_gap))
     settings.set_gap_policy(_core.TRACK_TORQUE, policies.index(device.torque_gap))
     for sink, limits in gain_limits(axis, device, units).items():
         settings.set_limits(sink, limits)
         settings.set_gap_policy(sink, policies.index("hold"))
-    return settings
 
 
-def monitor_settings(axis: Axis, device: Device, loop: Loop) -> _core.MonitorSettings:
+def monitor_settings(axis: DrivenAxis, device: Device, loop: Loop) -> _core.MonitorSettings:
     """What the board allows its axis to do, as measured there.
 
     Raises ValueError if a limit does not fit the device's integers.
@@ -138,7 +159,7 @@ def sync_settings(sync: Sync) -> _core.SyncSettings:
     return settings
 
 
-def home_settings(axis: Axis, device: Device, units: AxisUnits) -> _core.HomeSettings:
+def home_settings(axis: DrivenAxis, device: Device, units: AxisUnits) -> _core.HomeSettings:
     """How the board finds out where its axis is, and how it jogs.
 
     Raises ValueError if the speed does not fit the device's integers.

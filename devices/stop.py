@@ -7,6 +7,7 @@ from headway.devices.axis import AxisUnits
 from headway.firmware import _core
 
 STATES, REASONS = _core.STATES, _core.REASONS
+IDLE = STATES.index("IDLE")
 MOVING = {STATES.index(name) for name in ("RUNNING", "COAST")}
 
 _TEXTS = {
@@ -34,13 +35,13 @@ _TEXTS = {
 }
 
 
-def moves(status: _core.Status) -> bool:
-    """Whether the device executes plans."""
-    return status.state in MOVING
+def fit(status: _core.Status, axis: Axis) -> bool:
+    """Whether the device does its part: executes plans, or tells where a passive axis is."""
+    return status.state == IDLE if axis.passive else status.state in MOVING
 
 
 def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int) -> str:
-    """Why the device does not execute plans."""
+    """Why the device does not do its part."""
     state, reason = STATES[status.state], REASONS[status.reason]
     if state == "ESTOP":
         return "the emergency line is open"

@@ -125,3 +125,11 @@ def named_function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -
     """A function of expressions whose arrays can be shared by name, see `Call`."""
     dense = [ca.densify(value) for value in outputs.values()]
     return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs))
+
+
+def among(rows: Any, places: list[int], n: int) -> Any:
+    """Rows at their places among n, the others zero: an expression."""
+    every = [ca.MX(1, rows.shape[1])] * n
+    for place, row in zip(places, ca.vertsplit(rows), strict=True):
+        every[place] = row
+    return ca.vertcat(*every)

@@ -61,17 +61,34 @@ class Tree:
         self.inertia = [np.array(model.inertias[j + 1].matrix()) for j in range(self.count)]
         self.armature = np.array(model.armature)
         self.damping = np.array(model.damping)
+        self.mass = [float(model.inertias[j + 1].mass) for j in range(self.count)]
+        self.lever = [np.array(model.inertias[j + 1].lever) for j in range(self.count)]
         self.gravity = np.array(model.gravity.vector)
 
-    def transform(self, joint: int, q: Any) -> Any:
-        """Motion transform into joint `joint`'s frame from its parent's, at coordinate q."""
+    def placed(self, joint: int, q: Any) -> tuple[Any, Any]:
+        """Rotation (3, 3) and origin (3, 1) of joint `joint`'s frame in its parent's, at coordinate
+        q."""
         axis, place = self.axis[joint], self.placement[joint]
         if np.any(axis[3:]):  # revolute: Rodrigues' formula
             skew = np.array(pin.skew(axis[3:]))
             turn = ca.SX(np.eye(3)) + ca.sin(q) * skew + (1 - ca.cos(q)) * (skew @ skew)
-            return _motion_from_parent(place.rotation @ turn, ca.SX(place.translation))
-        shift = place.translation + place.rotation @ axis[:3] * q
-        return _motion_from_parent(ca.SX(place.rotation), shift)
+            return place.rotation @ turn, ca.SX(place.translation)
+        return ca.SX(place.rotation), place.translation + place.rotation @ axis[:3] * q
+
+    def transform(self, joint: int, q: Any) -> Any:
+        """Motion transform into joint `joint`'s frame from its parent's, at coordinate q."""
+        return _motion_from_parent(*self.placed(joint, q))
+
+    def poses(self, q: Any) -> list[tuple[Any, Any]]:
+        """Rotation and origin of every joint's frame in the world."""
+        poses: list[tuple[Any, Any]] = []
+        for joint, parent in enumerate(self.parent):
+            rotation, origin = self.placed(joint, q[joint])
+            if parent >= 0:
+                of_parent, at_parent = poses[parent]
+                rotation, origin = of_parent @ rotation, at_parent + of_parent @ origin
+            poses.append((rotation, origin))
+        return poses
 
 
 def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
@@ -97,6 +114,22 @@ def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
         if tree.parent[j] >= 0:
             force[tree.parent[j]] += transforms[j].T @ force[j]
     return ca.vertcat(*tau)
+
+
+def kinetic_energy(tree: Tree, q: Any, v: Any) -> Any:
+    """Of all bodies and armatures [J]: half of v times what takes it to accelerations v."""
+    still = ca.SX.zeros(tree.count)
+    momentum = inverse_dynamics(tree, q, still, v) - inverse_dynamics(tree, q, still, still)
+    return ca.dot(v, momentum) / 2
+
+
+def potential_energy(tree: Tree, q: Any) -> Any:
+    """Of all bodies in gravity [J], zero with every centre of mass at the world's origin."""
+    energy = ca.SX(0)
+    bodies = zip(tree.poses(q), tree.mass, tree.lever, strict=True)
+    for (rotation, origin), mass, lever in bodies:
+        energy -= mass * ca.dot(ca.SX(tree.gravity[:3]), origin + rotation @ ca.SX(lever))
+    return energy
 
 
 def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:

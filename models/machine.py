@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -34,6 +36,20 @@ class Machine:
                 f"machine.axes name the joints {', '.join(joints)}; the model has "
                 f"{', '.join(self.joints)}: list all of them, in that order"
             )
+
+    def place(self, name: str, q: Any) -> Any:
+        """Where the origin of a body or a site is in the world (3, 1) [m], as an expression of the
+        joints' positions. Raises ValueError for a name that the model does not have."""
+        kinds = pin.FrameType.BODY, pin.FrameType.OP_FRAME  # bodies and sites
+        frames = {frame.name: frame for frame in self.model.frames if frame.type in kinds}
+        if name not in frames:
+            raise ValueError(f"the model has no {name}; it has {', '.join(frames)}")
+        frame = frames[name]
+        at = ca.SX(np.array(frame.placement.translation))
+        if frame.parentJoint == 0:
+            return at
+        rotation, origin = self.tree.poses(q)[frame.parentJoint - 1]
+        return origin + rotation @ at
 
 
 def load_machine(path: Path) -> Machine:

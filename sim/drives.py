@@ -92,24 +92,31 @@ def _step_us(servo_period_us: int) -> int:
 
 def _add_board(spec: mujoco.MjSpec, axis: Axis, mobility: float) -> None:
     """`mobility`: acceleration per effort of the joint, in the model's own pose."""
-    stable = BRAKE_STABLE / (BRAKE_DAMPING * spec.option.timestep * mobility)
-    motor = axis.motor
     actuator = spec.add_actuator(
         name=f"board of {axis.joint}",
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         target=axis.joint,
-        userdata=[
-            axis.counts_per_unit,
-            motor.gear,
-            motor.torque_constant_Nm_per_A,
-            motor.resistance_ohm,
-            motor.supply_V,
-            min(BRAKE_SHARE * axis.effort_limit, stable),
-        ],
+        userdata=[axis.counts_per_unit, *_motor(axis, spec.option.timestep * mobility)],
     )
     plugin = spec.add_plugin(name=f"board of {axis.joint}", plugin_name=PLUGIN)
     plugin.active = True
     actuator.plugin = plugin
+
+
+def _motor(axis: Axis, step_mobility: float) -> list[float]:
+    """Gear, torque constant, resistance, supply and brake. A board without a motor has none that
+    gives or takes anything."""
+    if axis.passive:
+        return [1.0, 0.0, 1.0, 1.0, 0.0]
+    stable = BRAKE_STABLE / (BRAKE_DAMPING * step_mobility)
+    motor = axis.motor
+    return [
+        motor.gear,
+        motor.torque_constant_Nm_per_A,
+        motor.resistance_ohm,
+        motor.supply_V,
+        min(BRAKE_SHARE * axis.effort_limit, stable),
+    ]
 
 
 def _touching(

@@ -64,6 +64,8 @@ class Mishaps:
                 node.step_clock(mishap.step_us)
             elif mishap.kind == "firmware_hangs":
                 node.hung = True
+            elif mishap.kind == "push":
+                self._plant.push(device, mishap.effort_Nm_or_N)
             else:
                 node.break_encoder(ENCODER_DEFECTS[mishap.kind], true_us)
 
@@ -79,3 +81,5 @@ class Mishaps:
                 node.feed_V = self._feed_V[device]
             elif mishap.kind == "firmware_hangs":
                 node.hung = False
+            elif mishap.kind == "push":
+                self._plant.push(device, -mishap.effort_Nm_or_N)

@@ -115,6 +115,10 @@ class Plant:
         for node in self.nodes:
             node.capacitance_F = capacitance_F
 
+    def push(self, axis: int, effort: float) -> None:
+        """From now on the joint is pushed at by so much more [Nm or N]."""
+        self.data.qfrc_applied[self._dof[axis]] += effort
+
     def step(self, count: int) -> None:
         """Advances plant, servos and devices by `count` physics steps. Raises UnstableError."""
         mujoco.mj_step(self.model, self.data, count)

@@ -15,7 +15,6 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from headway.configs.load import load_config
 from headway.configs.schema import Config
 from headway.controller import tracks
-from headway.controller.estimator import Estimate
 from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.mpc import Mpc, Solution
@@ -276,13 +275,14 @@ def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
 
     def solve_seen(
         self: Mpc,
-        start: Estimate,
+        start: Array,
+        disturbance: Array,
         reference: Array,
         torque: Array,
         remotes: list[Remote],
         knot: int,
     ) -> Solution:
-        solution = solve(self, start, reference, torque, remotes, knot)
+        solution = solve(self, start, disturbance, reference, torque, remotes, knot)
         if solution.plan is not None:
             points, rolled = solution.plan
             seen.append(Encoding(knot, planned(self.encoder), [dict(p) for p in points], rolled))
@@ -334,7 +334,7 @@ def test_the_encoded_motion_is_the_planned_to_within_a_count_rms(
 def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None:
     """At each tick, over the knot that has passed and the one that begins, to the last bit."""
     lock = Lockstep(config_of("duration_s=2"), CONFIGS)
-    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop)
+    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop, [0, 1])
     tick, compared = lock.loop.tick, 0
     quanta = np.array(
         [PQ_PER_RAD, PQ_PER_RAD, PQ_PER_RAD * KNOT_S, PQ_PER_RAD * KNOT_S, TQ_PER_NM, TQ_PER_NM]

@@ -148,7 +148,7 @@ def does_not_rest(config: Config, arrays: Arrays, within_s: float | None) -> lis
     truth_s, end_s = arrays["truth_s"], float(arrays["tick_s"][-1])
     window = truth_s >= truth_s[-1] - REST_WINDOW_S
     found = []
-    for i, axis in enumerate(config.machine.axes):
+    for i, axis in config.machine.driven.items():
         position, unit = arrays["truth_position"][:, i], axis.unit
         speed = abs(float(np.mean(arrays["truth_velocity"][window, i])))
         moved = float(np.ptp(position[window]))

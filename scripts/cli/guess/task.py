@@ -65,7 +65,7 @@ def _holds(subject: Subject, task: Gentle) -> bool:
     q = task.centre + task.amplitude * np.sin(angle)
     v, a = rate * task.amplitude * np.cos(angle), -(rate**2) * task.amplitude * np.sin(angle)
     effort = np.abs(subject.effort(q, v, a))
-    acceleration = np.array([axis.acceleration_limit for axis in subject.axes])
+    acceleration = np.array([axis.acceleration_limit for axis in subject.driven.values()])
     if np.any(effort > EFFORT_SHARE * subject.effort_limit):
         return False
     return bool(np.all(np.abs(a) <= ACCELERATION_SHARE * acceleration)) and not subject.touching(q)

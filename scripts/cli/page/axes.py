@@ -124,8 +124,8 @@ def position(shown: Sequence[Shown]) -> Section:
 
 def effort(shown: Sequence[Shown]) -> Section:
     """What the motors were asked for, against what they may give."""
-    axes = shown[0].config.machine.axes
-    words = dict.fromkeys("torque" if axis.unit == "rad" else "force" for axis in axes)
+    axes = shown[0].config.machine.driven
+    words = dict.fromkeys("torque" if axis.unit == "rad" else "force" for axis in axes.values())
     word = " and ".join(words)
     section = Section(
         "torque",
@@ -135,7 +135,7 @@ def effort(shown: Sequence[Shown]) -> Section:
             "would have asked for without the limit.",
         ],
     )
-    for i, axis in enumerate(axes):
+    for i, axis in axes.items():
         unit = axis.effort_unit
         plot = Plot(axis.joint, f"{'torque' if axis.unit == 'rad' else 'force'} [{unit}]")
         plot.levels += _limits(shown, i)

@@ -18,6 +18,7 @@ RESOLUTION_SHARE = 0.01  # of the acceleration limit: what one quantum of a cont
 # Of the effort limit: what the servo's damping makes of one encoder count, as noise all the time.
 COUNT_SHARE, COUNT_SHARE_FAIL = 0.15, 0.5
 PHASE_MARGIN_FAIL_DEG = 10.0
+HELD = 1e12  # Nm/rad or N/m
 
 
 def drive_rules(subject: Subject) -> Iterator[Rule]:
@@ -38,7 +39,8 @@ def _motor(subject: Subject) -> Rule:
     """Where the model has boards of its own, their motors and encoders are the config's, but for
     what sim.plant changes on purpose."""
     name = "board: motor as in the model"
-    for axis, joint in zip(subject.axes, subject.joints, strict=True):
+    for i, axis in subject.driven.items():
+        joint = subject.joints[i]
         if joint.board is None:
             continue
         motor = axis.motor
@@ -104,7 +106,7 @@ def _resolution(subject: Subject) -> Rule:
             f"a finer encoder for {axis.joint}, or a longer loop.knot_us",
             axis.joint,
         )
-        for axis in subject.axes
+        for axis in subject.driven.values()
     )
 
 
@@ -121,7 +123,7 @@ def _count_noise(subject: Subject) -> Rule:
             axis.joint,
             fail=COUNT_SHARE_FAIL / COUNT_SHARE,
         )
-        for axis in subject.axes
+        for axis in subject.driven.values()
     )
 
 
@@ -129,7 +131,7 @@ def _phase_margin(subject: Subject) -> Rule:
     """Each joint's loop at its largest inertia, others locked, and at its least, others free."""
     lag_s, reach = subject.config.device.servo_period_us * 1e-6, subject.envelope
     rules = []
-    for i, axis in enumerate(subject.axes):
+    for i, axis in subject.driven.items():
         gains = axis.servo
         if gains.kp == gains.kd == gains.ki == 0:
             continue
@@ -155,10 +157,13 @@ def _phase_margin(subject: Subject) -> Rule:
 
 
 def _toppling(subject: Subject) -> Rule:
-    """The servo alone holds the machine in any pose, as it must when plans no longer come."""
-    kp = np.array([max(axis.servo.kp, 1e-9) for axis in subject.axes])
+    """The servo alone holds the machine in any pose, as it must when plans no longer come. Of
+    passive axes nobody expects that: they count as held."""
+    kp = np.full(len(subject.axes), HELD)
+    for i, driven in subject.driven.items():
+        kp[i] = max(driven.servo.kp, 1e-9)
     toppled, share = subject.envelope.toppling(kp)
-    axis = subject.axes[int(share.argmax())]
+    axis = list(subject.driven.values())[int(share[list(subject.driven)].argmax())]
     return at_most(
         "servo: stiffness that gravity takes",
         toppled,
@@ -188,31 +193,32 @@ def _stop(subject: Subject) -> Rule:
             axis.joint,
             fail=np.inf,
         )
-        for i, axis in enumerate(subject.axes)
+        for i, axis in subject.driven.items()
     )
 
 
 def _voltage_at_limits(subject: Subject) -> Rule:
     """Back-EMF at the speed limit and the effort limit at once."""
-    speed = np.array([axis.velocity_limit for axis in subject.axes])
-    return _voltage(
-        subject,
-        "motor: voltage at both limits",
-        _volts(subject, speed, subject.effort_limit),
-        fail=np.inf,
-    )
+    driven = subject.driven.values()
+    speed = np.array([axis.velocity_limit for axis in driven])
+    effort = np.array([axis.effort_limit for axis in driven])
+    volts = _volts(subject, speed, effort)
+    return _voltage(subject, "motor: voltage at both limits", volts, fail=np.inf)
 
 
 def _voltage_in_task(subject: Subject) -> Rule:
     """What the task needs at any time."""
-    motion = subject.motion
-    volts = np.abs(_volts(subject, motion.velocity, motion.effort)).max(axis=0)
+    motion, driven = subject.motion, list(subject.driven)
+    volts = _volts(subject, motion.velocity[:, driven], motion.effort[:, driven])
+    volts = np.abs(volts).max(axis=0)
     return _voltage(subject, "motor: voltage in the task", volts, fail=1.0)
 
 
 def _volts(subject: Subject, speed: Array, effort: Array) -> Array:
-    constant = np.array([axis.motor.constant for axis in subject.axes])
-    resistance = np.array([axis.motor.resistance_ohm for axis in subject.axes])
+    """Of the driven axes, from their speeds and efforts."""
+    motors = [axis.motor for axis in subject.driven.values()]
+    constant = np.array([motor.constant for motor in motors])
+    resistance = np.array([motor.resistance_ohm for motor in motors])
     volts: Array = constant * speed + resistance * effort / constant
     return volts
 
@@ -229,5 +235,5 @@ def _voltage(subject: Subject, name: str, volts: Array, fail: float) -> Rule:
             axis.joint,
             fail=fail,
         )
-        for i, axis in enumerate(subject.axes)
+        for i, axis in enumerate(subject.driven.values())
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from headway.configs.axis import Axis
+from headway.configs.axis import Axis, DrivenAxis
 from headway.configs.schema import Config
 from headway.controller.reference import task_reference
 from headway.models.envelope import Envelope, envelope
@@ -47,6 +47,7 @@ class Subject:
         self.config = config
         self.machine: Machine = load_machine(path)
         self.axes: list[Axis] = config.machine.axes
+        self.driven: dict[int, DrivenAxis] = config.machine.driven
         names = tuple(axis.joint for axis in self.axes)
         self.machine.require_axes(names)
         self.joints: list[Joint] = stated(path, names)
@@ -114,7 +115,8 @@ class Subject:
                 position = q + v * stop_s * (share - share**2 / 2)
                 slowing = np.tile(-v / stop_s, (STOP_POINTS, 1))
                 efforts = np.abs(self.effort(position, v * (1 - share), slowing))
-                return bool(np.all(efforts <= self.effort_limit))
+                driven = list(self.driven)  # nobody stops the others
+                return bool(np.all(efforts[:, driven] <= self.effort_limit[driven]))
 
             if longest < np.inf and not (longest > 0 and possible(longest)):
                 longest = max(longest, next((t for t in STOPS_S if possible(t)), np.inf))

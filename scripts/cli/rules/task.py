@@ -10,6 +10,7 @@ from scipy.interpolate import make_interp_spline
 from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
 from headway.cli.rules.subject import Subject
 from headway.controller.ocp import HULL_SHARE, Limits
+from headway.controller.reference import Custom
 
 EFFORT_SHARE = 0.85  # of the limit; what is left corrects what the model does not know
 STOP_SHARE = 0.6  # of the horizon: shorter ones cost tracking (docs/performance.md)
@@ -20,6 +21,7 @@ CONTACT_POSES = 500  # along the task
 
 def task_rules(subject: Subject) -> Iterator[Rule]:
     """All of them."""
+    yield from _costs(subject)
     yield _range(subject)
     yield _model_range(subject)
     yield _contacts(subject)
@@ -29,6 +31,18 @@ def task_rules(subject: Subject) -> Iterator[Rule]:
     yield _holding(subject)
     yield _stop_from_limit(subject)
     yield _stop_from_task(subject)
+
+
+def _costs(subject: Subject) -> Iterator[Rule]:
+    """A custom task's file says what costs are."""
+    if isinstance(subject.reference, Custom):
+        name = "task: costs of its own"
+        try:
+            subject.reference.costs(subject.machine)
+        except ValueError as error:
+            yield Rule(name, Status.FAIL, remedy=str(error))
+        else:
+            yield Rule(name, Status.OK)
 
 
 def _range(subject: Subject) -> Rule:
@@ -111,7 +125,7 @@ def _hull(subject: Subject) -> Iterator[Rule]:
                 axis.joint,
                 warn=HULL_SHARE,
             )
-            for i, axis in enumerate(subject.axes)
+            for i, axis in subject.driven.items()
         )
 
 
@@ -130,7 +144,7 @@ def _effort(subject: Subject) -> Rule:
             warn=EFFORT_SHARE,
             fail=EFFORT_FAIL,
         )
-        for i, axis in enumerate(subject.axes)
+        for i, axis in subject.driven.items()
     )
 
 
@@ -148,7 +162,7 @@ def _holding_start(subject: Subject) -> Rule:
             axis.joint,
             warn=EFFORT_SHARE,
         )
-        for i, axis in enumerate(subject.axes)
+        for i, axis in subject.driven.items()
     )
 
 
@@ -167,7 +181,7 @@ def _holding(subject: Subject) -> Rule:
             warn=EFFORT_SHARE,
             fail=np.inf,
         )
-        for i, axis in enumerate(subject.axes)
+        for i, axis in subject.driven.items()
     )
 
 
@@ -184,7 +198,7 @@ def _stop_from_limit(subject: Subject) -> Rule:
             f"{axis.key('acceleration_limit')} of {axis.joint}",
             axis.joint,
         )
-        for axis in subject.axes
+        for axis in subject.driven.values()
     )
 
 

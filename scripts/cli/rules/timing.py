@@ -10,6 +10,7 @@ from headway.cli.rules.rule import Rule, Status, at_least, at_most
 from headway.cli.rules.subject import Subject
 from headway.controller.equations import COULOMB_SPEED
 from headway.controller.loop import plan_points
+from headway.controller.prediction import ServoLaw
 from headway.devices.axis import AxisUnits, gain_limits, position_limits, torque_limits
 from headway.devices.core import PLAN_POINTS_MAX, TRACK_POSITION, TRACK_TORQUE
 from headway.devices.widest import fits_a_frame
@@ -63,8 +64,9 @@ def _stiffness(subject: Subject) -> Rule:
     knot, without them in steps of an interval."""
     config, axes = subject.config, subject.axes
     own = np.array(subject.machine.model.damping)
-    own += np.array([axis.coulomb for axis in axes]) / COULOMB_SPEED
-    servos = np.array([axis.servo.kd + axis.motor.damping for axis in axes])
+    law = ServoLaw.of(axes)
+    own += law.coulomb / COULOMB_SPEED
+    servos = law.kd + law.emf
     steps = []
     for damping, step_us in (
         (own + servos, config.loop.knot_us),
@@ -73,13 +75,14 @@ def _stiffness(subject: Subject) -> Rule:
         rate, share = subject.envelope.fastest(damping)
         steps.append((rate * step_us * 1e-6, axes[int(share.argmax())]))
     value, axis = max(steps, key=lambda step: step[0])
+    gain = "" if axis.passive else f"{axis.servo.key('kd')}, "
     return at_most(
         "prediction: fastest decay in a step",
         value,
         RUNGE_KUTTA_STABLE,
         "",
         f"{axis.joint} moves too little inertia for its damping and friction: lower "
-        f"{axis.servo.key('kd')}, {axis.key('coulomb')} or mpc.horizon_us / mpc.intervals, or "
+        f"{gain}{axis.key('coulomb')} or mpc.horizon_us / mpc.intervals, or "
         "give the joint an armature in the model (its rotor's inertia times gear squared)",
         axis.joint,
         warn=0.75,
@@ -99,7 +102,7 @@ def _plan_points(subject: Subject) -> Rule:
 def _plan_frame(subject: Subject) -> Rule:
     """The largest plan that the gate lets pass fits a frame."""
     loop, points = subject.config.loop, min(plan_points(subject.config), PLAN_POINTS_MAX)
-    for axis in subject.axes:
+    for axis in subject.driven.values():
         units = AxisUnits.of(axis, loop)
         try:
             limits = {

@@ -1,0 +1,235 @@
+"""A task's own costs, from a Python file of the user's.
+
+The file has a function `objective` that takes Symbols and returns a list of terms, each a residual
+and a weight, of which the program minimizes the sum of weight times |residual|^2 at every node of
+the horizon. Residuals are linearized about the last plan (Gauss-Newton: Nocedal, Wright,
+Numerical Optimization, 2006, section 10.3), so a term's curvature never goes below zero.
+"""
+
+from __future__ import annotations
+
+import ast
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.models.codegen import named_function
+from headway.models.dynamics import kinetic_energy, potential_energy
+from headway.models.machine import Machine
+
+Array = NDArray[np.float64]
+Term = tuple[Any, Any]  # a residual (any, 1) and its weight, a number or an expression
+
+FUNCTION = "objective"
+TRIALS = 200  # states at which costs have to be numbers
+ROUGH = {  # CasADi's operations whose slope says nothing
+    getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD", "NOT")
+}
+
+
+class Symbols:
+    """What a task's costs are made of, as CasADi expressions; SI.
+
+    q, v (n, 1)       positions and velocities of the joints, in the config's order
+    target (n, 1)     task.target_rad_or_m
+    time_s            of the task, at the node
+    share             of the horizon that has passed at the node: 0 to 1
+    """
+
+    def __init__(self, machine: Machine, target: Array, parameters: Mapping[str, float]) -> None:
+        n = machine.tree.count
+        self.q, self.v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        self.target, self.time_s = ca.SX(target), ca.SX.sym("time_s")
+        self.share = ca.SX.sym("share")
+        self._machine, self._given = machine, parameters
+        self.parameters: dict[str, tuple[Any, float]] = {}
+        self.kept_below: list[Term] = []
+
+    def parameter(self, name: str, default: float) -> Any:
+        """A number that task.parameters may give another value, without compiling anew."""
+        if name not in self.parameters:
+            value = float(self._given.get(name, default))
+            self.parameters[name] = ca.SX.sym(name), value
+        return self.parameters[name][0]
+
+    def keep_below(self, expression: Any, weight: Any) -> None:
+        """The expression should stay below zero: what is above costs `weight` times its square."""
+        self.kept_below.append((expression, weight))
+
+    def place(self, name: str) -> Any:
+        """Where the origin of a body or a site is in the world (3, 1) [m]. Raises ValueError for a
+        name that the model does not have."""
+        return self._machine.place(name, self.q)
+
+    def kinetic_energy(self) -> Any:
+        """Of the whole machine, its armatures included [J]."""
+        return kinetic_energy(self._machine.tree, self.q, self.v)
+
+    def potential_energy(self) -> Any:
+        """Of the whole machine in gravity, zero with all centres of mass at the world's origin
+        [J]."""
+        return potential_energy(self._machine.tree, self.q)
+
+
+@dataclass(frozen=True)
+class Costs:
+    """A task's costs at one node as a function, and the values of its parameters.
+
+    The function takes x (2n, 1), time_s, share and the parameters (p, 1), to the curvature
+    2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1).
+    """
+
+    function: ca.Function
+    parameters: Array
+
+
+def read_costs(
+    source: Path, machine: Machine, target: Array, parameters: Mapping[str, float]
+) -> Costs:
+    """Runs the user's file, which can do whatever a program of the user's can.
+
+    Raises ValueError with the line of what is wrong: what cannot be run, is no list of terms, has
+    another shape, is not a number somewhere or has no slope.
+    """
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeError) as error:
+        raise ValueError(f"task.file: {source}: cannot be read: {error}") from error
+    symbols = Symbols(machine, target, parameters)
+    returned = _run(source, text, symbols)
+    lines = _lines(text)
+    if not isinstance(returned, list | tuple):
+        words = f"returns {_a(returned)}, not a list of terms: each is (residual, weight)"
+        raise _wrong(source, lines[0], words)
+    unknown = sorted(set(parameters) - set(symbols.parameters))
+    if unknown:
+        known = ", ".join(symbols.parameters) or "none"
+        raise ValueError(
+            f"task.parameters has {', '.join(unknown)}, which {source} does not ask for; it asks "
+            f"for: {known}"
+        )
+    places = dict(enumerate(lines[1:]))
+    checked = [
+        _checked(source, places.get(i, lines[0]), symbols, f"term {i}", term)
+        for i, term in enumerate(returned)
+    ]
+    for i, term in enumerate(symbols.kept_below):
+        value, weight = _checked(source, lines[0], symbols, f"keep_below {i}", term)
+        checked.append((ca.fmax(value, 0), weight))
+    return _gauss_newton(symbols, checked)
+
+
+def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
+    x = ca.vertcat(symbols.q, symbols.v)
+    curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
+    for residual, weight in terms:
+        by_state = ca.jacobian(residual, x)
+        curvature += 2 * weight * by_state.T @ by_state
+        slope += 2 * weight * by_state.T @ residual
+    values = [value for _, value in symbols.parameters.values()]
+    inputs = {
+        "x": x, "time_s": symbols.time_s, "share": symbols.share,
+        "costs": ca.vertcat(*(symbol for symbol, _ in symbols.parameters.values()), ca.SX(0, 1)),
+    }  # fmt: skip
+    outputs = {"curvature": curvature, "slope": slope}
+    return Costs(named_function("costs", inputs, outputs), np.array(values))
+
+
+def _run(source: Path, text: str, symbols: Symbols) -> Any:
+    """What the function returns; the user's mistakes with the line of their file."""
+    space: dict[str, Any] = {"__name__": source.stem, "__file__": str(source)}
+    try:
+        exec(compile(text, str(source), "exec"), space)
+        if not callable(space.get(FUNCTION)):
+            raise ValueError(f"task.file: {source}: has no function {FUNCTION}(symbols)")
+        return space[FUNCTION](symbols)
+    except SyntaxError as error:
+        raise _wrong(source, error.lineno or 1, f"is not Python: {error.msg}") from error
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame.lineno for frame in frames if frame.filename == str(source) and frame.lineno]
+        if not own:
+            raise
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise _wrong(source, own[-1], words) from error
+
+
+def _lines(text: str) -> list[int]:
+    """Where the function returns, and where each term of what it returns begins, if that is written
+    there as a list."""
+    functions = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef) and node.name == FUNCTION
+    ]
+    for function in functions:
+        for node in ast.walk(function):
+            if isinstance(node, ast.Return):
+                terms = [
+                    element.lineno
+                    for call in ast.walk(node)
+                    if isinstance(call, ast.List)
+                    for element in call.elts
+                ]
+                return [node.lineno, *terms]
+        return [function.lineno]
+    return [1]
+
+
+def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) -> Term:
+    """A term as expressions, if it is one that has values and slopes everywhere."""
+    try:
+        residual, weight = (ca.SX(part) for part in term)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        words = f"{name} is {_a(term)}, not a residual and its weight"
+        raise _wrong(source, line, words) from error
+    if residual.shape[1] != 1 or weight.numel() != 1:
+        raise _wrong(
+            source,
+            line,
+            f"{name} has a residual of {residual.shape[0]} by {residual.shape[1]} and a weight of "
+            f"{weight.shape[0]} by {weight.shape[1]}: make it a column and a number",
+        )
+    numbers = ca.vertcat(*(symbol for symbol, _ in symbols.parameters.values()), ca.SX(0, 1))
+    x = ca.vertcat(symbols.q, symbols.v)
+    inputs = [x, symbols.time_s, symbols.share, numbers]
+    if ca.depends_on(weight, x):
+        raise _wrong(
+            source, line, f"{name} has a weight that depends on q or v: only residuals may"
+        )
+    outputs = [residual, weight, ca.jacobian(residual, x)]
+    function = ca.Function("term", inputs, outputs)
+    rough = {ROUGH[op] for op in _operations(function) if op in ROUGH}
+    if rough:
+        words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
+        raise _wrong(source, line, words)
+    rng, n = np.random.default_rng(0), symbols.q.numel()
+    values = [value for _, value in symbols.parameters.values()]
+    for trial in range(TRIALS):
+        state = np.zeros(2 * n) if trial == 0 else rng.uniform(-np.pi, np.pi, 2 * n)
+        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+        if not all(np.isfinite(np.array(part)).all() for part in found):
+            at = ", ".join(f"{value:.4g}" for value in state)
+            words = f"{name} is not a number, or has no slope, at [q, v] = [{at}]"
+            raise _wrong(source, line, words)
+        if float(found[1]) < 0:
+            raise _wrong(source, line, f"{name} has a negative weight, {float(found[1]):.4g}")
+    return residual, weight
+
+
+def _operations(function: ca.Function) -> list[int]:
+    return [function.instruction_id(k) for k in range(function.n_instructions())]
+
+
+def _a(value: Any) -> str:
+    return f"a {type(value).__name__}"
+
+
+def _wrong(source: Path, line: int, words: str) -> ValueError:
+    return ValueError(f"task.file: {source}:{line}: {words}")
