@@ -34,7 +34,8 @@ def run(job: tuple[str, int, float]) -> dict[str, Any]:
         f"{{kind: push, joint: {passive}, at_s: {when:.4f}, for_s: 0.1, effort_Nm_or_N: {effort}}}"
         for when, effort in zip(at, efforts, strict=True)
     )
-    start = [rng.uniform(0.05, 0.15) * rng.choice([-1, 1]), np.pi + rng.uniform(-0.2, 0.2)]
+    side = 1 if rng.random() < 0.5 else -1
+    start = [side * float(rng.uniform(0.05, 0.15)), float(np.pi + rng.uniform(-0.2, 0.2))]
     config = load_config(
         CONFIGS / f"{name}.yaml",
         [
