@@ -1,5 +1,7 @@
 """A simulated device and its board inside an array, such as MuJoCo's plugin state (module.cpp)."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,21 @@ class Oscillator:
 
     def step(self, true_us: int, step_us: int) -> None:
         """The counter jumps at a time, for all that follows."""
+
+class Polled:
+    """Boards that no plant steps: each is polled at its servo periods, by its counter as it was
+    when it was added, and at random in between."""
+
+    def __init__(self) -> None: ...
+    def add(self, node: Node, pause_us: int, random: int) -> None:
+        """One that is flashed, before true time goes on. `pause_us`: between random polls, on
+        average; 0: there are none. `random`: their generator's state. Raises ValueError for one
+        without settings."""
+
+    def run(self, until_us: int, encoders: dict[int, Callable[[int], int]]) -> int | None:
+        """Polls all in the order of true time, up to and with `until_us` [us], until one has sent
+        something: returns its number, in the order of `add`. None: nobody has. `encoders`: what
+        those of some numbers show at a true time; else 0."""
 
 class Node:
     """Refers to the array: all state is in there. All times are true times unless named."""
@@ -87,8 +104,9 @@ class Node:
         """Position, its rate per knot and torque: at a system time while the device executes its
         tracks, else those of the last servo period."""
 
-    def poll(self, true_us: int, encoder_count: int) -> None:
-        """Runs the board at a true time: its guard and, unless it is hung, its main loop."""
+    def poll(self, true_us: int, encoder_count: int) -> bool:
+        """Runs the board at a true time: its guard and, unless it is hung, its main loop. Returns
+        whether there is something to collect."""
 
     @property
     def state(self) -> int: ...

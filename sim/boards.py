@@ -24,7 +24,7 @@ from headway.sim.network import Wire
 
 HOST_PORT = 0
 # What an event is, in place of a port's number.
-PERIOD, POLL, SEND, RECEIVE = -1, -2, -3, -4
+SEND, RECEIVE = -1, -2
 
 
 class End(NamedTuple):
@@ -87,8 +87,9 @@ class Boards:
         """One of `settings` and of `crystals` for each board; they name the ports in use. `rng`:
         for the boards' own random numbers. `bus`: whose starts of frames all boards see. `poll_us`:
         between a board's polls, at random and on average; 0: none but at periods and arrivals."""
-        self.nodes, self._state, self._counters = list[_board.Node](), [], []
-        self._poll_rng = rng.spawn(1)[0]
+        self.nodes, self._state = list[_board.Node](), []
+        polls_rng = rng.spawn(1)[0]
+        self._polled = _board.Polled()
         for each, crystal in zip(settings, crystals, strict=True):
             self._state.append(np.zeros(_board.NODE_NUMBERS))
             node = _board.Node(self._state[-1])
@@ -98,22 +99,18 @@ class Boards:
             if bus is not None:
                 node.join_bus(bus.phase_ps, bus.period_ps, int(rng.integers(2**63)))
             self.nodes.append(node)
-            self._counters.append(_board.Oscillator(*crystal))
-        self.hosts, self.now_us, self._poll_us = {h.board: h for h in hosts}, 0, poll_us
+            self._polled.add(node, poll_us, int(polls_rng.integers(2**63)))
+        self.hosts, self.now_us = {h.board: h for h in hosts}, 0
         self._ports = [{e.port for c in cables for e in c.ends if e.board == i} for i in self.range]
         self._ways = {
             cable.ends[i]: (cable.ends[1 - i], cable.wires[i]) for cable in cables for i in (0, 1)
         }
-        self._period_us = [each.servo_period_us for each in settings]
-        self._next_count = [counter.count_at(0) for counter in self._counters]
         # What a board's encoder shows at a true time; else 0.
         self.encoders: dict[int, Callable[[int], int]] = {}
         self._cut = False
         # What comes next: (time, running number, board, its port or what it is, packet).
         self._events: list[tuple[int, int, int, int, bytes]] = []
         self._number = 0
-        for board in self.range:
-            self._put(0, board, PERIOD, b"")
         for host in hosts:
             self._put(host.phase_us, host.board, SEND, b"")
 
@@ -127,8 +124,15 @@ class Boards:
 
     def advance(self, true_us: int) -> None:
         """To a true time, not before the last one."""
-        while self._events[0][0] <= true_us:
-            self._happen(*heapq.heappop(self._events))
+        while True:
+            due_us = min(true_us, self._events[0][0]) if self._events else true_us
+            board = self._polled.run(due_us, self.encoders)
+            if board is not None:
+                self._collect(board)
+            elif self._events and self._events[0][0] <= true_us:
+                self._happen(*heapq.heappop(self._events))
+            else:
+                break
         self.now_us = true_us
 
     def shown_us(self) -> list[int]:
@@ -151,13 +155,10 @@ class Boards:
             host = self.hosts[board]
             host.remote.receive(packet, now_us + host.epoch_us)
             return
-        if what == PERIOD:
-            self._plan_period(board, now_us)
-        elif what != POLL:
-            self.nodes[board].deliver(now_us, packet, what)
+        self.nodes[board].deliver(now_us, packet, what)
         encoder = self.encoders.get(board)
-        self.nodes[board].poll(now_us, encoder(now_us) if encoder else 0)
-        self._collect(board)
+        if self.nodes[board].poll(now_us, encoder(now_us) if encoder else 0):
+            self._collect(board)
 
     def _send_from(self, host: Host, now_us: int) -> None:
         self._put(now_us + host.knot_us, host.board, SEND, b"")
@@ -178,20 +179,3 @@ class Boards:
                 (other, its_port), wire = self._ways[End(board, own)]
                 for arrival_us in wire.carry(sent_us, len(frame)):
                     self._put(arrival_us, other, its_port, frame)
-
-    def _plan_period(self, board: int, now_us: int) -> None:
-        """The next servo period: when the counter is one further."""
-        counter, period_us = self._counters[board], self._period_us[board]
-        self._next_count[board] = target = (self._next_count[board] + period_us) & 0xFFFFFFFF
-        then_us = now_us + period_us
-        for _ in range(2):  # the error shrinks by 10^-4 each time
-            off_us = (counter.count_at(then_us) - target + 2**31) % 2**32 - 2**31
-            then_us -= off_us
-        while (counter.count_at(then_us) - target) & 0x80000000:  # it has got there
-            then_us += 1
-        self._put(then_us, board, PERIOD, b"")
-        if self._poll_us:
-            pauses = self._poll_rng.integers(1, 2 * self._poll_us, period_us // self._poll_us)
-            for poll_us in (now_us + np.cumsum(pauses)).tolist():
-                if poll_us < then_us:
-                    self._put(poll_us, board, POLL, b"")

@@ -1,16 +1,19 @@
 // A simulated node (device and board) inside MuJoCo's plugin state, for Python.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstring>
+#include <optional>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
 
 extern "C" {
 #include "board.h"
+#include "polls.h"
 #include "store.h"
 }
 
@@ -143,6 +146,55 @@ static std::vector<std::tuple<int64_t, nb::bytes>> collect(Node &n, int32_t port
     return packets;
 }
 
+// Returns whether there is something to collect.
+static bool poll(Node &n, int64_t true_us, int32_t encoder_count) {
+    board_advance(&n->board, true_us);
+    board_set_encoder(&n->board, encoder_count);
+    node_run(n.operator->());
+    for (const parcel &p : n->board.outbox)
+        if (p.size != 0)
+            return true;
+    return false;
+}
+
+// Some nodes on their own, between what happens to them.
+struct Polled {
+    std::vector<Node> nodes;
+    std::vector<polls> schedules;
+};
+
+static void add_polled(Polled &p, Node &n, uint32_t pause_us, uint64_t random) {
+    polls schedule;
+    if (n->device.settings.servo_period_us == 0)
+        throw std::invalid_argument("a node needs settings to be polled");
+    polls_begin(&schedule, &n->board.oscillator, n->device.settings.servo_period_us, pause_us,
+                random);
+    p.nodes.push_back(n);
+    p.schedules.push_back(schedule);
+}
+
+// Polls all in the order of time, up to `until_us`, until one has something to send: returns which.
+static std::optional<size_t> run_polled(Polled &p, int64_t until_us, nb::dict encoders) {
+    while (!p.nodes.empty()) {
+        size_t first = 0;
+        for (size_t i = 1; i < p.nodes.size(); i++)
+            if (polls_next_us(&p.schedules[i]) < polls_next_us(&p.schedules[first]))
+                first = i;
+        int64_t now_us = polls_next_us(&p.schedules[first]);
+        if (now_us > until_us)
+            break;
+        Node &n = p.nodes[first];
+        nb::int_ key(first);
+        int32_t count = 0;
+        if (encoders.size() > 0 && encoders.contains(key))
+            count = nb::cast<int32_t>(encoders[key](now_us));
+        polls_pass(&p.schedules[first]);
+        if (poll(n, now_us, count))
+            return first;
+    }
+    return std::nullopt;
+}
+
 // Position and torque setpoints [pq, pq/knot, tq]: at a system time from the device's own tracks
 // while it executes them, else those of the last servo period.
 static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) {
@@ -177,6 +229,10 @@ NB_MODULE(_board, m) {
         .def("count_at", &count_at, "true_us"_a)
         .def("counts", &counts_at, "true_us"_a)
         .def("step", &oscillator_step, "true_us"_a, "step_us"_a);
+    nb::class_<Polled>(m, "Polled")
+        .def(nb::init<>())
+        .def("add", &add_polled, "node"_a, "pause_us"_a, "random"_a)
+        .def("run", &run_polled, "until_us"_a, "encoders"_a);
     nb::class_<Node>(m, "Node")
         .def(
             "__init__",
@@ -204,14 +260,7 @@ NB_MODULE(_board, m) {
         .def("deliver", &deliver, "arrival_us"_a, "packet"_a, "port"_a = BOARD_HOST)
         .def("collect", &collect, "port"_a = BOARD_HOST)
         .def("setpoint", &setpoint, "time_us"_a)
-        .def(
-            "poll",
-            [](Node &n, int64_t true_us, int32_t encoder_count) {
-                board_advance(&n->board, true_us);
-                board_set_encoder(&n->board, encoder_count);
-                node_run(n.operator->());
-            },
-            "true_us"_a, "encoder_count"_a)
+        .def("poll", &poll, "true_us"_a, "encoder_count"_a)
         .def_prop_ro("state", [](Node &n) { return (int)n->device.state; })
         .def_prop_ro("boots", [](Node &n) { return n->device.boots; })
         .def_prop_ro("session",

@@ -2,9 +2,11 @@
 the best of its draws, an interval that none is narrower than."""
 
 import importlib
+import json
 import math
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from headway.configs.schema import Channel
-from headway.sim import profiles
+from headway.sim import _board, profiles
 from headway.sim.boards import Boards, Cable, Crystal, End, Host
 from headway.sim.network import Wire
 
 FOLDER = Path(__file__).resolve().parent.parent / "scripts" / "benches"
-NAMES = ("exchanges", "rivals", "firmware", "search", "tally", "tight", "boards")
+NAMES = ("exchanges", "rivals", "firmware", "search", "tally", "tight", "boards", "campaign")
 PERFECT = Channel(delay_us=300, jitter_us=0, loss=0.0)
 NUMBERS = {  # that suit a network without jitter
     "half trip": {"alpha": 0.05, "beta": 1.0},
@@ -191,6 +193,42 @@ def test_quantiles_of_a_tally(clocks: dict[str, ModuleType]) -> None:
     assert math.isnan(clocks["tally"].Tally().quantile(0.5))
 
 
+def test_a_tally_is_what_it_was_after_a_file(clocks: dict[str, ModuleType]) -> None:
+    tally = clocks["tally"].Tally()
+    tally.add(np.random.default_rng(3).normal(0, 40, 1000))
+    tally.add(np.array([np.inf]))
+    again = clocks["tally"].Tally.of(json.loads(json.dumps(tally.told())))
+    assert (again.counts == tally.counts).all() and again.largest == tally.largest
+
+
+# A campaign.
+
+
+def test_a_campaign_goes_on_where_it_was(clocks: dict[str, ModuleType], tmp_path: Path) -> None:
+    campaign, path, called = clocks["campaign"], tmp_path / "results", list[int]()
+
+    def job(number: int) -> list[float]:
+        called.append(number)
+        return [number / 3, math.inf]
+
+    tasks = [campaign.Task(f"job {i}", job, i) for i in range(9)]
+    with ThreadPoolExecutor(1) as pool:
+        campaign.Campaign(pool, campaign.Journal(path, "this"), math.inf).run("", tasks[:4])
+        with path.open("a") as file:
+            file.write('{"job 8": [1.0')  # it was ended amid a line
+        journal = campaign.Journal(path, "this")
+        going_on = campaign.Campaign(pool, journal, math.inf)
+        going_on.run("", tasks)
+        assert going_on.complete and called == list(range(9))
+        assert journal.found == {f"job {i}": [i / 3, math.inf] for i in range(9)}
+        late = campaign.Campaign(pool, campaign.Journal(tmp_path / "others", "this"), 0)
+        late.run("", tasks)
+        assert not late.complete and len(called) == 9
+    assert campaign.Journal(path, "this").found == journal.found
+    with pytest.raises(SystemExit, match="another firmware"):
+        campaign.Journal(path, "that")
+
+
 # The tightest interval.
 
 
@@ -306,10 +344,35 @@ def test_two_boards_and_a_host(clocks: dict[str, ModuleType]) -> None:
 def test_boards_are_polled_at_their_servo_periods(clocks: dict[str, ModuleType]) -> None:
     """By their own counters: the one whose oscillator is fast has more of them."""
     boards = two_boards(clocks, 200)
+    polled: list[list[int]] = [[], []]
+    for i in (0, 1):
+        boards.encoders[i] = lambda true_us, i=i: polled[i].append(true_us) or 0  # type: ignore[misc]
     boards.advance(2_000_000)
-    fast, slow = (node.settings.servo_period_us for node in boards.nodes)
-    assert fast == slow == 1000
-    counts = [counter.count_at(2_000_000) for counter in boards._counters]
-    for next_count, count in zip(boards._next_count, counts, strict=True):
-        assert 0 < (next_count - count) % 2**32 <= 1000
-    assert (boards._next_count[0] - 7) % 1000 == (boards._next_count[1] + 5) % 2**32 % 1000 == 0
+    for i, crystal in enumerate((Crystal(7, 90_000), Crystal(2**32 - 5, -90_000))):
+        counter, times = _board.Oscillator(*crystal), np.array(polled[i])
+        assert (np.diff(times) >= 0).all()
+        passed = (counter.counts(times).astype(int) - crystal.offset) % 2**32
+        before = (counter.counts(times - 1).astype(int) - crystal.offset) % 2**32
+        at_period = (passed // 1000 > before // 1000) | (times == 0)
+        periods = 2_000_000 * (1 + crystal.drift_ppb * 1e-9) // 1000 + 1
+        assert len(np.unique(passed[at_period] // 1000)) == periods
+        # The others are arrivals: the host's 488 frames, and what the two have asked each other.
+        assert 488 < len(times) - periods < 2500
+
+
+def test_random_polls_come_as_often_as_asked_for(clocks: dict[str, ModuleType]) -> None:
+    method = clocks["firmware"].BOUNDS
+    settings = clocks["boards"].board_settings("usb-iid", 0, method, None)
+    alone = Boards([settings], [Crystal()], [], np.random.default_rng(8), poll_us=100)
+    polled: list[int] = []
+    alone.encoders[0] = lambda true_us: polled.append(true_us) or 0  # type: ignore[func-returns-value]
+    alone.advance(4_000_000)
+    assert 43_000 <= len(polled) <= 45_000  # 1000 a second and 10000 a second
+    pauses = np.diff(np.setdiff1d(polled, np.arange(0, 4_000_001, 1000)))
+    assert 1 <= pauses.min() <= 5 and 195 <= pauses.max() <= 398
+
+
+def test_boards_without_settings_are_not_polled() -> None:
+    node = _board.Node(np.zeros(_board.NODE_NUMBERS))
+    with pytest.raises(ValueError, match="needs settings"):
+        _board.Polled().add(node, 0, 1)

@@ -6,6 +6,7 @@ import argparse
 import json
 import operator
 import platform
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,15 @@ from rich.table import Table
 COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 
 
-def arguments(description: str) -> argparse.Namespace:
-    """The options that all benchmarks share."""
+def arguments(
+    description: str, add: Callable[[argparse.ArgumentParser], None] | None = None
+) -> argparse.Namespace:
+    """The options that all benchmarks share, and those that `add` adds."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--long", action="store_true", help="what the docs quote")
     parser.add_argument("--json", type=Path, metavar="FILE", help="rows and goals")
+    if add is not None:
+        add(parser)
     return parser.parse_args()
 
 

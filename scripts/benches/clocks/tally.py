@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,3 +35,16 @@ class Tally:
             return float("nan")
         at = int(np.searchsorted(np.cumsum(self.counts), share * total))
         return min(float(EDGES[at]) if at <= BINS else float("inf"), self.largest)
+
+    def told(self) -> dict[str, Any]:
+        """As what JSON has."""
+        bins = np.flatnonzero(self.counts)
+        return {"bins": bins.tolist(), "counts": self.counts[bins].tolist(), "most": self.largest}
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> Tally:
+        """What `told` told."""
+        tally = cls()
+        tally.counts[told["bins"]] = told["counts"]
+        tally.largest = told["most"]
+        return tally
