@@ -7,6 +7,16 @@ from collections.abc import Sequence
 from headway.devices.clock import ClockState
 from headway.devices.remote import Remote
 
+# Why there is no session yet, by what came of HELLO (Remote.greeting).
+NO_SESSION = {
+    "no answer": "no answer: is the board connected, powered and set up?",
+    "ok": "no answer in the session: does another host run it?",
+    "wrong key": "wrong key: the board was set up with another one",
+    "line noise": "line noise: what it answers arrives damaged",
+    "other version": "its firmware speaks another version of the protocol",
+    "stale": "it answers what was asked long ago: restart it",
+}
+
 
 class Settle:
     """Watches the clocks of all devices of a machine."""
@@ -34,7 +44,8 @@ class Settle:
         for joint, remote in zip(self._joints, self._remotes, strict=True):
             state = remote.clock.state(now_us)
             if not state.settled:
-                found.append(f"{joint}: {_why(state)}")
+                why = _why(state) if remote.established else NO_SESSION[remote.greeting]
+                found.append(f"{joint}: {why}")
         return found
 
 
@@ -47,6 +58,8 @@ def _why(state: ClockState) -> str:
         )
     if state.least_us is None or state.most_us is None:
         return "its clock has no bound yet: do frames pass in both directions?"
+    if state.measured_us is None:
+        return "nothing has come from it for a second: has its port gone?"
     if state.measured_us is not None and (
         state.least_us > state.measured_us[1] or state.most_us < state.measured_us[0]
     ):

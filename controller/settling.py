@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from headway.configs.schema import Config
 from headway.controller.live import Clock
 from headway.controller.settle import Settle
 from headway.devices.attend import attend
@@ -16,11 +15,14 @@ from headway.devices.remote import Remote
 class Settling:
     """The host says hello and sends stamps, one frame a knot, in simulation or over real links."""
 
-    def __init__(self, config: Config, remotes: Sequence[Remote], link: Link, clock: Clock) -> None:
-        joints = [axis.joint for axis in config.machine.axes]
+    def __init__(
+        self, names: Sequence[str], knot_us: int, remotes: Sequence[Remote], link: Link,
+        clock: Clock,
+    ) -> None:  # fmt: skip
+        """`names`: of the devices, for what is told of them. `knot_us`: between two frames."""
         self._remotes, self._link, self._clock = remotes, link, clock
-        self._settle = Settle(joints, remotes)
-        self._knot_us = config.loop.knot_us
+        self._settle = Settle(names, remotes)
+        self._knot_us = knot_us
         self._now_us = self._began_us = clock.now_us()
 
     @property

@@ -16,7 +16,7 @@ from headway.configs.schema import Config
 from headway.controller.gains import Gains
 from headway.controller.prediction import Prediction
 from headway.controller.sample import Sample
-from headway.controller.settle import Settle
+from headway.controller.settle import NO_SESSION, Settle
 from headway.controller.tick import DeviceError, Outbox, Phase
 from headway.devices import core
 from headway.devices.axis import AxisUnits
@@ -34,15 +34,6 @@ ARM_TICKS = 250  # until a device has answered that it is armed
 STAND_TICKS = 60  # of samples of where the machine stands: a brake gives as the torque comes up
 LATCHED = [core.STATES.index(name) for name in ("FAULT", "ESTOP")]
 IDLE, ARMED, HOLD = (core.STATES.index(name) for name in ("IDLE", "ARMED", "HOLD"))
-
-_NO_SESSION = {
-    "no answer": "no answer: is the board connected, powered and set up?",
-    "ok": "no answer in the session: does another host run it?",
-    "wrong key": "wrong key: the board was set up with another one",
-    "line noise": "line noise: what it answers arrives damaged",
-    "other version": "its firmware speaks another version of the protocol",
-    "stale": "it answers what was asked long ago: restart it",
-}
 
 
 class Start:
@@ -107,7 +98,7 @@ class Start:
     def _greeted(self) -> bool:
         """Whether every device has answered in its session."""
         silent = [
-            f"{joint}: {_NO_SESSION[remote.greeting]}"
+            f"{joint}: {NO_SESSION[remote.greeting]}"
             for joint, remote in zip(self._joints, self._remotes, strict=True)
             if not remote.established
         ]

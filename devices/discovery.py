@@ -32,9 +32,15 @@ class Search:
         """Names of the devices that have not answered."""
         return [name for name in self._keys if name not in self.found]
 
+    @property
+    def silent(self) -> list[Port]:
+        """Ports at which no device has been found."""
+        taken = list(self.found.values())
+        return [port for port in self._ports if port not in taken]
+
     def ask(self) -> None:
         """Says HELLO at all ports where nobody has been found."""
-        for port in self._open():
+        for port in self.silent:
             try:
                 port.write(self._hello)
             except PortError as error:
@@ -42,7 +48,7 @@ class Search:
 
     def listen(self) -> None:
         """Takes the answers that have arrived."""
-        for port in self._open():
+        for port in self.silent:
             try:
                 packets = port.read()
             except PortError as error:
@@ -50,10 +56,6 @@ class Search:
                 continue
             for packet in packets:
                 self._judge(port, packet)
-
-    def _open(self) -> list[Port]:
-        taken = list(self.found.values())
-        return [port for port in self._ports if port not in taken]
 
     def _judge(self, port: Port, packet: bytes) -> None:
         for name, key in self._keys.items():
@@ -67,5 +69,5 @@ class Search:
 
     def close_others(self) -> None:
         """Closes the ports at which nobody was found."""
-        for port in self._open():
+        for port in self.silent:
             port.close()

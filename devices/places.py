@@ -74,6 +74,22 @@ def places_of(folder: Path, links: Links, udp: bool) -> tuple[list[str], list[st
     return list(dict.fromkeys(found)), failed
 
 
+def open_place(text: str) -> Port:
+    """One that somebody names: a path, an address, or a file with an address as plants leave it.
+    Raises PortError."""
+    path = Path(text)
+    try:
+        if path.suffix == UDP_SUFFIX:
+            return UdpPort(address_of(path.read_text()))
+        if path.exists():
+            return SerialPort(text)
+    except OSError as error:
+        raise PortError(f"{text}: cannot be read: {error.strerror}") from error
+    if ":" not in text:
+        raise PortError(f"{text}: there is no such port, and it is no address, as 127.0.0.1:47001")
+    return UdpPort(address_of(text))
+
+
 def open_places(folder: Path, links: Links, udp: bool) -> tuple[list[Port], list[str]]:
     """Opens all that is there, of one kind; and why what could not be opened was not."""
     found, failed = places_of(folder, links, udp)

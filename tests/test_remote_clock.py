@@ -9,7 +9,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from headway.controller.settle import Settle
 from headway.devices.clock import WINDOW_US, RemoteClock
+from headway.devices.remote import Remote
 from headway.firmware import _core
 
 UNKNOWN_NS = 2**31 - 1
@@ -132,3 +134,16 @@ def test_only_the_last_second_is_kept() -> None:
         now_us = 10**9 + i * 4000
         clock.note(status(heard_us=now_us - 500, sent_us=now_us - 100), now_us)
     assert len(clock._window) == WINDOW_US // 4000 + 1
+
+
+def test_settling_says_what_is_wrong() -> None:
+    """No session, no bound, silence; in this order."""
+    remote = SimpleNamespace(clock=RemoteClock(), established=False, greeting="wrong key")
+    settle = Settle(["q1"], [cast(Remote, remote)])
+    assert settle.unsettled(0) == ["q1: wrong key: the board was set up with another one"]
+    remote.established = True
+    assert "no bound yet" in settle.unsettled(0)[0]
+    remote.clock.note(status(sent_us=1500, heard_us=900, heard_age_us=100), 2000)
+    assert settle.tick(2000)[0].settled and settle.settled_us(2000) == 0
+    silent = settle.unsettled(2001 + WINDOW_US)
+    assert silent == ["q1: nothing has come from it for a second: has its port gone?"]

@@ -1,11 +1,14 @@
 """`headway sync`: what it shows, what it says of those that do not settle, and how it ends."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from processes import Machine
 
 from headway.cli.main import main
+from headway.devices.keys import draw_key
 
 CONFIG = str(Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml")
 QUICK = ["--settled", "0.5", "--timeout", "6"]
@@ -38,7 +41,7 @@ def test_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
         ("sync.limit_us=10", ["q1: its clock may err by"]),
         (
             "sim.to_host.loss=1",
-            ["q1: its clock has no bound yet", "q2: its clock has no bound yet"],
+            ["q1: no answer: is the board", "q2: no answer: is the board"],
         ),
         (
             "sync.to_device_least_us=9000",
@@ -89,3 +92,96 @@ def test_mistakes(
     assert main(["sync", CONFIG, *arguments]) == 2
     assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+# At ports, without a config.
+
+
+@pytest.fixture(scope="module", params=["serial", "udp"])
+def machine(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Machine]:
+    """A plant in another process, slow enough for a computer that is busy."""
+    with Machine(tmp_path_factory.mktemp("sync"), request.param, 0.4) as made:
+        yield made
+
+
+def at_ports(machine: Machine, *more: str) -> list[str]:
+    """The words for both of a machine's devices, with its keys."""
+    while len(ports := sorted(map(str, (machine.folder / "ports").glob("arm2-*")))) < 2:
+        assert machine.process.poll() is None
+    keys = ["--keys", str(machine.folder / "keys")]
+    return ["sync", *ports, *keys, "--realtime-factor", "0.4", *more]
+
+
+def test_devices_at_ports(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    quick = ["--settled", "0.3", "--timeout", "20"]
+    assert main(at_ports(machine, "--json", *quick)) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["settled"] is True
+    for name, device in zip(("q1", "q2"), told["devices"], strict=True):
+        assert device["joint"].startswith(f"{name} at ") and device["settled"] is True
+        assert device["least_us"] < 0 < device["most_us"] and device["round_trip_us"] >= 4000
+        if machine.kind == "udp":
+            assert " at 127.0.0.1:" in device["joint"]
+
+
+def test_who_does_not_settle_at_ports(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(at_ports(machine, "--settled", "5", "--timeout", "1")) == 4
+    assert "not settled within 1 s: " in capsys.readouterr().err
+
+
+def test_a_device_whose_key_is_not_here(
+    machine: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """The keys are those of another machine; and nobody's are no keys."""
+    monkeypatch.setattr("headway.cli.at_ports.PATIENCE_S", 1.0)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    words = at_ports(machine, *QUICK)
+    words[words.index("--keys") : words.index("--keys") + 2] = []
+    assert main(words) == 2
+    assert "there is no device's key" in capsys.readouterr().err
+    draw_key(tmp_path / "headway" / "keys" / "other", "q1")
+    draw_key(tmp_path / "headway" / "keys" / "other", "sync")
+    assert main(words) == 4
+    told = capsys.readouterr().err
+    assert told.count("there is a device, of which no key is here") == 2
+
+
+def test_keys_of_all_machines(
+    machine: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    home = tmp_path / "headway" / "keys"
+    draw_key(home / "other", "q1")
+    (home / "arm2").symlink_to(machine.folder / "keys")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    words = at_ports(machine, "--json", "--settled", "0.3", "--timeout", "20")
+    words[words.index("--keys") : words.index("--keys") + 2] = []
+    assert main(words) == 0
+    devices = json.loads(capsys.readouterr().out)["devices"]
+    assert [device["joint"].partition(" ")[0] for device in devices] == ["arm2/q1", "arm2/q2"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        ([], 2, "name a config, or ports"),
+        ([CONFIG, CONFIG], 2, "name one config, or ports alone"),
+        (["nowhere"], 4, "nowhere: there is no such port"),
+        (["here:99999"], 4, "'here:99999' is no address"),
+        (["127.0.0.1:1"], 4, "127.0.0.1:1: no answer"),
+        (["127.0.0.1:1", "--link", "udp"], 2, "--link, --spawn, --ports, --set and --seed are for"),
+        (["127.0.0.1:1", "--seed", "1"], 2, "leave them out"),
+        (["127.0.0.1:1", "--realtime-factor", "0"], 2, "--realtime-factor 0"),
+    ],
+)
+def test_mistakes_at_ports(
+    words: list[str], code: int, told: str, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr("headway.cli.at_ports.PATIENCE_S", 0.5)
+    draw_key(tmp_path, "q1")
+    assert main(["sync", *words, "--keys", str(tmp_path)]) == code
+    assert told in capsys.readouterr().err

@@ -133,7 +133,8 @@ def _round_trips(
                 def send(self, device: int, packet: bytes, now_us: int) -> None:
                     link.send(device, packet, now_us)
 
-            Settling(config, remotes, Tapped(), clock).run(LISTEN_S)
+            names, knot_us = list(reached.keys.devices), config.loop.knot_us
+            Settling(names, knot_us, remotes, Tapped(), clock).run(LISTEN_S)
     trips = round_trips(arrived, len(config.machine.axes))
     return trips, clock_error(packet for _, _, packet in arrived)
 

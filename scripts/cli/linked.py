@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from headway.configs.schema import Config
+    from headway.devices.discovery import Search
     from headway.devices.keys import Keys
     from headway.devices.port import Port
     from headway.devices.port_link import PortLink
@@ -166,11 +167,16 @@ def check_factor(factor: float) -> None:
         )
 
 
-def key_folder(config: Config, named: Path | None) -> Path:
-    """Where the keys of a machine are."""
+def key_home() -> Path:
+    """Where all machines' folders of keys are."""
     home = os.environ.get("XDG_CONFIG_HOME")
     base = Path(home) if home else Path.home() / ".config"
-    return named or base / "headway" / "keys" / config.name
+    return base / "headway" / "keys"
+
+
+def key_folder(config: Config, named: Path | None) -> Path:
+    """Where the keys of a machine are."""
+    return named or key_home() / config.name
 
 
 def machine_keys(config: Config, path: Path, named: Path | None) -> Keys:
@@ -222,14 +228,8 @@ def find_ports(
     while True:
         ports, failed = open_all()
         search = Search(ports, keys.devices, rng)
-        next_s = 0.0
-        round_s = time.monotonic() + ROUND_S
-        while search.missing and ports and time.monotonic() < round_s:
-            if time.monotonic() >= next_s:
-                search.ask()
-                next_s = time.monotonic() + ASK_S
-            search.listen()
-            time.sleep(LOOK_S)
+        if ports:
+            search_for(search, ROUND_S, lambda each: each.missing)
         if not search.missing:
             search.close_others()
             return [search.found[name] for name in keys.devices]
@@ -238,6 +238,17 @@ def find_ports(
         if time.monotonic() > end_s or not alive():
             raise Failure(ExitCode.DEVICE, _not_found(search.missing, search.verdicts, failed))
         time.sleep(0.1)
+
+
+def search_for(search: Search, seconds: float, left: Callable[[Search], object]) -> None:
+    """Asks and listens, until nothing is left or the time is over."""
+    next_s, end_s = 0.0, time.monotonic() + seconds
+    while left(search) and time.monotonic() < end_s:
+        if time.monotonic() >= next_s:
+            search.ask()
+            next_s = time.monotonic() + ASK_S
+        search.listen()
+        time.sleep(LOOK_S)
 
 
 def _not_found(missing: Sequence[str], verdicts: dict[str, str], failed: Sequence[str]) -> str:
