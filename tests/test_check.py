@@ -113,6 +113,17 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     (("sim.compute_us=5000", "loop.margin_us=16384"), {"compute: within a knot": "warn"}),
     (("sim.compute_us=17000", "loop.margin_us=32768"), {"compute: within a knot": "FAIL"}),
     (("mpc.horizon_us=532480",), {"plan: points": "FAIL"}),
+    (("sync.to_device_least_us=2001",), {"clocks: least delay to_device": "FAIL"}),
+    (("sync.to_host_least_us=2001",), {"clocks: least delay to_host": "FAIL"}),
+    (
+        ("sim.network=usb", "sync.limit_us=2000", "sync.to_device_least_us=63"),
+        {"clocks: least delay to_host": "FAIL"},
+    ),
+    (("sync.drift_ppm=29",), {"clocks: drift_ppm of the simulated boards": "FAIL"}),
+    (
+        ("sim.clocks.wander_ppm_per_s=0.9", "sync.wander_ppm_per_s=0.5"),
+        {"clocks: wander_ppm_per_s of the simulated boards": "FAIL"},
+    ),
 ]
 PLANAR3_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     ((), {}),
