@@ -2,7 +2,8 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define SOLVE_ROUNDS 8             // of Newton's method; each ends with a valid bound
+#define SOLVE_ROUNDS 4             // of Newton's method; each ends with a valid bound
+#define STEP_MAX_Q32 (1 << 30)     // of it: beyond all drifts, and some of them do not overflow
 #define NOTHING_Q16 (-(1LL << 61)) // lower than all that a proof says
 
 void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
@@ -10,7 +11,7 @@ void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int
     memset(bounds, 0, sizeof *bounds);
     bounds->base_us = base_us;
     bounds->ticks_us = ticks_us;
-    bounds->lower.skew_q32 = bounds->upper.skew_q32 = -(int64_t)limits->drift_q32;
+    bounds->lower.skew_q32 = bounds->upper.skew_q32 = -limits->drift_q32;
 }
 
 // wander a^2 / 2, rounded up: ages in 1024 us keep the product within 64 bits.
@@ -19,8 +20,7 @@ static int64_t slack_q16(const struct bounds_limits *limits, int64_t age_us) {
     return ((age * age * limits->wander_q64) >> 29) + 1;
 }
 
-// What a line says now if the skew is `skew_q32`, rounded down. One that is too old says nothing: a
-// side keeps it only to have one.
+// What a line says now if the skew is `skew_q32`, rounded down. One that is too old says nothing.
 static int64_t line_q16(const struct bounds_limits *limits, const struct bounds_line *line,
                         int64_t ticks_us, int64_t skew_q32) {
     int64_t age_us = ticks_us - line->ticks_us;
@@ -45,12 +45,6 @@ static const struct bounds_line *highest(const struct bounds_limits *limits,
     return best;
 }
 
-static void forget(struct bounds_side *side, int32_t index) {
-    side->count--;
-    memmove(&side->lines[index], &side->lines[index + 1],
-            (size_t)(side->count - index) * sizeof *side->lines);
-}
-
 // Of a side: its skew may have wandered, and was at least what is left of it all the way.
 static void carry(struct bounds_side *side, const struct bounds_limits *limits,
                   int64_t wandered_q32, int64_t elapsed_us) {
@@ -70,11 +64,6 @@ static void carry_briefly(struct bounds_side *side, int32_t drift_q32, int32_t w
     side->value_q16 += fixed_mul_q16(skew_q32, elapsed_us);
 }
 
-static void forget_old(struct bounds_side *side, int64_t ticks_us) {
-    while (side->count > 1 && ticks_us - side->lines[0].ticks_us > BOUNDS_AGE_MAX)
-        forget(side, 0);
-}
-
 void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, int64_t ticks_us) {
     int64_t elapsed_us = ticks_us - bounds->ticks_us;
     if (elapsed_us <= 0)
@@ -89,12 +78,10 @@ void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, i
         // Beyond an hour, which nobody waits, the skew may be anything within the drift.
         int64_t wandered_q32 = elapsed_us < 1LL << 32
                                    ? ((elapsed_us * limits->wander_q64) >> 32) + 1
-                                   : 2 * (int64_t)limits->drift_q32;
+                                   : 2 * limits->drift_q32;
         carry(&bounds->lower, limits, wandered_q32, elapsed_us);
         carry(&bounds->upper, limits, wandered_q32, elapsed_us);
     }
-    forget_old(&bounds->lower, ticks_us);
-    forget_old(&bounds->upper, ticks_us);
 }
 
 // The least skew, seen from `side`, at which its lines and those of the other side leave room, by
@@ -112,12 +99,10 @@ static bool bound_skew(const struct bounds_limits *limits, struct bounds_side *s
         int64_t slope_us = mine->ticks_us - its->ticks_us; // by which the overlap shrinks
         if (slope_us <= 0)
             return false;
-        int64_t step_q32 = overlap_q16 >= 1LL << 46 ? INT64_MAX : (overlap_q16 << 16) / slope_us;
-        if (step_q32 > 2 * (int64_t)limits->drift_q32)
-            return false;
+        int64_t step_q32 = (overlap_q16 << 16) / slope_us; // it is below a second: see bounds_prove
         if (step_q32 == 0)
             return true;
-        side->skew_q32 += step_q32;
+        side->skew_q32 += fixed_clamp64(step_q32, STEP_MAX_Q32);
     }
     return true;
 }
@@ -139,16 +124,19 @@ static bool solve(struct bounds *bounds, const struct bounds_limits *limits) {
     return lower->value_q16 <= -upper->value_q16;
 }
 
-// Makes room for a line: that one goes which is furthest below the outline of the others.
-static void prune(struct bounds_side *side, const struct bounds_limits *limits, int64_t ticks_us,
-                  int64_t skew_most_q32) {
+// Where there is room for a line: at the end, or in place of the one that is furthest below the
+// outline of the others; one that is too old is below all.
+static struct bounds_line *room(struct bounds_side *side, const struct bounds_limits *limits,
+                                int64_t ticks_us, int64_t skew_most_q32) {
     enum { PROBES = 5 };
+    if (side->count < BOUNDS_LINES)
+        return &side->lines[side->count++];
     int64_t top_q16[PROBES], deficit_q16 = -1;
-    int32_t least = 0;
+    struct bounds_line *least = side->lines;
     int64_t range_q32 = skew_most_q32 - side->skew_q32;
     for (int32_t k = 0; k < PROBES; k++)
         highest(limits, side, ticks_us, side->skew_q32 + range_q32 * k / (PROBES - 1), &top_q16[k]);
-    for (int32_t i = 0; i < side->count; i++) {
+    for (int32_t i = 0; i < BOUNDS_LINES; i++) {
         int64_t nearest_q16 = INT64_MAX;
         for (int32_t k = 0; k < PROBES; k++) {
             int64_t skew_q32 = side->skew_q32 + range_q32 * k / (PROBES - 1);
@@ -157,20 +145,10 @@ static void prune(struct bounds_side *side, const struct bounds_limits *limits, 
         }
         if (nearest_q16 > deficit_q16) {
             deficit_q16 = nearest_q16;
-            least = i;
+            least = &side->lines[i];
         }
     }
-    forget(side, least);
-}
-
-static void insert(struct bounds_side *side, struct bounds_line line) {
-    int32_t at = side->count;
-    while (at > 0 && side->lines[at - 1].ticks_us > line.ticks_us)
-        at--;
-    memmove(&side->lines[at + 1], &side->lines[at],
-            (size_t)(side->count - at) * sizeof *side->lines);
-    side->lines[at] = line;
-    side->count++;
+    return least;
 }
 
 bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, bool is_upper,
@@ -180,6 +158,8 @@ bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, boo
     struct bounds_line line = {is_upper ? -value_q16 : value_q16, ticks_us};
     if (ticks_us > bounds->ticks_us || bounds->ticks_us - ticks_us > BOUNDS_AGE_MAX)
         return true; // too old to say anything; or, if a counter has jumped back, too young
+    // What contradicts the set at any skew is refused at once. What is left overlaps the other side by
+    // no more than the skew's range makes of a line's age.
     int64_t least_q16 = line_q16(limits, &line, bounds->ticks_us, side->skew_q32);
     int64_t most_q16 = line_q16(limits, &line, bounds->ticks_us, -other->skew_q32);
     if (other->count > 0 && least_q16 > -other->value_q16)
@@ -187,11 +167,9 @@ bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, boo
     if (side->count > 0 && most_q16 <= side->value_q16)
         return true; // known
     struct bounds before = *bounds;
-    if (side->count == BOUNDS_LINES)
-        prune(side, limits, bounds->ticks_us, -other->skew_q32);
     if (side->count == 0 || least_q16 > side->value_q16)
         side->value_q16 = least_q16;
-    insert(side, line);
+    *room(side, limits, bounds->ticks_us, -other->skew_q32) = line;
     if (solve(bounds, limits))
         return true;
     *bounds = before;

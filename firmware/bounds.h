@@ -36,7 +36,7 @@ struct bounds_line {
 
 struct bounds_side {
     int32_t count;
-    struct bounds_line lines[BOUNDS_LINES]; // the oldest first
+    struct bounds_line lines[BOUNDS_LINES]; // in any order
     int64_t value_q16;                      // the side's bound now, if there is a line
     int64_t skew_q32;                       // and of the skew (of the upper side: of its negative)
 };

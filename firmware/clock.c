@@ -2,7 +2,7 @@
 #include "fixed.h" // products
 
 static int64_t skewed_q32(const struct headway_clock *clock, int32_t elapsed_us) {
-    if (elapsed_us >= 0 && elapsed_us <= UINT16_MAX) // as from one servo period to the next
+    if ((uint32_t)elapsed_us <= UINT16_MAX) // as from one servo period to the next; exact as well
         return fixed_mul_u16(clock->rate_q32, (uint16_t)elapsed_us);
     return (int64_t)elapsed_us * clock->rate_q32;
 }

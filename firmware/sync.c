@@ -3,7 +3,8 @@
 #include <string.h>
 
 #define STAMP_US 1                // stamps are whole microseconds, rounded down
-#define STEER_GAIN 4              // an offset fades with a time constant of 2^14 us
+#define STEER_GAIN 4              // an offset fades with a time constant of 2^14 us ...
+#define MARK_SHIFT 1              // ... and one from a mark, which is rounded, with 2^17
 #define STEER_MAX_Q32 1288490     // and is slewed in at 300 ppm at most
 #define SKEW_SHIFT 22             // what is left of it for 2^22 us is the oscillator's skew ...
 #define SKEW_SHIFT_FIRST 20       // ... at first, for ...
@@ -184,20 +185,25 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
     return true;
 }
 
-// Rounded down. Whole microseconds and what is below them apart: no product needs 64 bits.
-static int32_t nanoseconds(int64_t offset_q16) {
+// Rounded down; `open` beyond a second. Whole microseconds and what is below them apart: no product
+// needs 64 bits.
+static int32_t nanoseconds(int64_t offset_q16, int32_t open) {
     if (offset_q16 >= 1LL << 36 || offset_q16 <= -(1LL << 36))
-        return offset_q16 > 0 ? SYNC_ERROR_OPEN : -SYNC_ERROR_OPEN;
+        return open;
     uint32_t below_q16 = (uint16_t)offset_q16;
     return (int32_t)(offset_q16 >> 16) * 1000 + (int32_t)((below_q16 * 1000) >> 16);
 }
 
 // What a steering that has lasted says of the oscillator's skew, rounded down.
 static int32_t learnt_q32(int32_t steer_q32, int64_t elapsed_us, bool early) {
-    int64_t product = elapsed_us >= 0 && elapsed_us <= UINT16_MAX
+    int64_t product = (uint64_t)elapsed_us <= UINT16_MAX // both ways are exact
                           ? fixed_mul_u16(steer_q32, (uint16_t)elapsed_us)
                           : steer_q32 * elapsed_us;
     return (int32_t)(early ? product >> SKEW_SHIFT_FIRST : product >> SKEW_SHIFT);
+}
+
+static bool is_marked(const struct sync *sync, int64_t ticks_us) {
+    return sync->marked && ticks_us - sync->mark_us <= SYNC_MARK_US;
 }
 
 static void set_rate(struct sync *sync, const struct sync_settings *settings,
@@ -209,9 +215,11 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
     }
     // Where the set is wide the middle of its skews says little, but the middle of its offsets moves
     // as the oscillator does: an integral finds the skew, within what is possible.
-    int32_t steer_q32 = fixed_clamp64(behind_q16 * STEER_GAIN, STEER_MAX_Q32);
+    bool marked = is_marked(sync, clock->ticks_us);
+    int64_t wanted_q32 = marked ? behind_q16 >> MARK_SHIFT : behind_q16 * STEER_GAIN;
+    int32_t steer_q32 = fixed_clamp64(wanted_q32, STEER_MAX_Q32);
     int64_t elapsed_us = clock->ticks_us - sync->steered_us;
-    bool early = clock->ticks_us - sync->wide_us < SKEW_FIRST_US;
+    bool early = marked || clock->ticks_us - sync->wide_us < SKEW_FIRST_US;
     if (!sync->settled)
         sync->skew_q32 = bounds_skew_q32(&sync->bounds);
     else if (steer_q32 < STEER_MAX_Q32 && steer_q32 > -STEER_MAX_Q32)
@@ -226,7 +234,7 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
 static int64_t target_q16(const struct sync *sync, int64_t ticks_us) {
     const struct bounds *bounds = &sync->bounds;
     int64_t age_us = ticks_us - sync->mark_us;
-    if (!sync->marked || age_us > SYNC_MARK_US)
+    if (!is_marked(sync, ticks_us))
         return bounds_middle_q16(bounds);
     int64_t middle_q16 = sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16);
     int64_t lower_q16 = bounds_lower_q16(bounds), upper_q16 = bounds_upper_q16(bounds);
@@ -246,8 +254,9 @@ static bool follow(struct sync *sync, const struct sync_settings *settings,
         clock_set(clock, bounds->base_us, offset_q16);
     }
     set_rate(sync, settings, clock, behind_q16);
-    sync->least_error_ns = nanoseconds(offset_q16 - bounds_upper_q16(bounds));
-    sync->most_error_ns = nanoseconds(offset_q16 - bounds_lower_q16(bounds) + NANOSECOND_Q16);
+    sync->least_error_ns = nanoseconds(offset_q16 - bounds_upper_q16(bounds), -SYNC_ERROR_OPEN);
+    sync->most_error_ns =
+        nanoseconds(offset_q16 - bounds_lower_q16(bounds) + NANOSECOND_Q16, SYNC_ERROR_OPEN);
     return steps;
 }
 

@@ -181,7 +181,10 @@ def test_a_long_time_alone(pause_s: int, wander: int) -> None:
     again = work.follow(later, may_step=False)
     assert work.sync.excluded == 0
     again.assert_inside()
-    assert again.width[-1] < 60
+    if pause_s <= 4000:
+        assert again.width[-1] < 60
+    else:  # it may not step, and is off by more than can be told
+        assert not again.known.any() and again.error.min() < -1_500_000
 
 
 # ---- settling

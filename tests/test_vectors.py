@@ -91,7 +91,7 @@ def test_the_files_are_what_the_generator_writes(judge: Path) -> None:
 
 
 def test_they_stay_small() -> None:
-    assert sum(path.stat().st_size for path in FILES) < 3_500_000
+    assert sum(path.stat().st_size for path in FILES) < 4_500_000
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -2084,10 +2084,12 @@ def test_bounds_are_what_the_proofs_leave() -> None:
     """Never narrower, and hardly wider though only twelve lines a side are kept."""
     known, seen, ratios = Knowledge(Fraction(0), Fraction(0), 0), Counter[str](), []
     last: dict[str, int] = {}
+    lasting = 0  # the longest advance
     for v in read(VECTORS / "bounds.txt"):
         if v.word == "bounds-clear":
             drift = v.number("drift_q32") * Q32
             known = Knowledge(drift, v.number("wander_q64") * Q32 * Q32, v.number("ticks_us"))
+            lasting = 0
             continue
         got = numbers_of(v.answer)
         if v.word == "bounds-at":
@@ -2107,6 +2109,7 @@ def test_bounds_are_what_the_proofs_leave() -> None:
             continue
         last = got
         if v.word == "bounds-advance":
+            lasting = max(lasting, v.number("ticks_us") - known.ticks)
             known.advance(v.number("ticks_us"))
         else:
             is_upper = "at_most_q16" in v.given
@@ -2125,7 +2128,8 @@ def test_bounds_are_what_the_proofs_leave() -> None:
             assert got["lower_q16"] * Q16 <= known.low, v
         if known.high is not None:
             assert got["upper_q16"] * Q16 >= known.high, v
-        if known.low is not None and known.high is not None:
+        # After more than an hour without a look the skew may be anything.
+        if known.low is not None and known.high is not None and lasting < 1 << 32:
             width = (got["upper_q16"] - got["lower_q16"]) * Q16
             ratios.append(float((width + 1) / (known.high - known.low + 1)))
     assert seen["taken"] > 300 and seen["refused"] > 40
@@ -2282,6 +2286,11 @@ class Board:
             return "open"
         ticks = self.ticks(v.number("at_us"))
         low, high = (self.base + ticks + bound for bound in self.known.at(ticks))
+        far = abs(ticks - self.known.ticks) > 1_000_000
+        if far or got["mark_width_us"] == 0xFFFF:  # it knows too little
+            assert got["mark_width_us"] == 0xFFFF and got["mark_least_us"] == 0, v
+            assert far or high - low > 0xFFFF - 5, v
+            return "open"
         least, most = got["mark_least_us"], got["mark_least_us"] + got["mark_width_us"]
         assert least <= low and high + 1 <= most, v
         assert got["mark_width_us"] < (high - low) * Fraction(6, 5) + 5, v
@@ -2318,7 +2327,8 @@ class Board:
         unknown = INT32_MAX
         least, most = got["least_error_ns"], got["most_error_ns"]
         if self.is_reference:
-            assert (least, most, got["rate_q32"], got["stepped"]) == (0, 0, 0, 0), v
+            assert (least, most, got["rate_q32"], got["stepped"]) == (0, 0, 0, self.stepped), v
+            self.stepped = False
             assert time == clock.time, v
             self.settle(v, got["settled"], 0)
             clock.rate = Fraction(0)
@@ -2342,13 +2352,17 @@ class Board:
             return
         ahead = Fraction(least + most, 2000)  # us that the clock is ahead of where it should be
         offset = time - clock.ticks - self.base
+        near = Fraction(1, 500)
+        if -least == unknown or most == unknown:  # by more than can be told
+            near = NEARLY
+            ahead = offset - (self.known.low + self.known.high) / 2
         if self.mark and clock.ticks - self.mark[1] <= 200_000:
             assert self.skew is not None
             middle = self.mark[0] + self.skew * (clock.ticks - self.mark[1])
             told = offset - Fraction(most, 1000), offset - Fraction(least, 1000)
             ahead = offset - sorted((told[0], middle, told[1]))[1]
         if jump:
-            assert abs(ahead) < Fraction(1, 500) and abs(jump) > 8 - NEARLY, v
+            assert abs(ahead) < near and abs(jump) > 8 - NEARLY, v
         elif v.number("may_step"):
             assert abs(ahead) < 8 + NEARLY, v
         clock.time, self.stepped = time, False
@@ -2366,7 +2380,8 @@ class Board:
         self.settled = settled == 1
 
     def assert_rate(self, v: Vector, rate_q32: int, ahead: Fraction) -> None:
-        """The skew, and what fades the offset in 2^14 us, at 300 ppm at most.
+        """The skew, and what fades the offset in 2^14 us, or one from a mark in 2^17, at 300 ppm
+        at most.
 
         The skew is at first the middle of what is possible, later an integral's, within that.
         """
@@ -2377,13 +2392,14 @@ class Board:
             self.skew = self.skew or Fraction(0)
             return
         slowest, fastest = self.known.slowest, self.known.fastest
-        fade = sorted((-top, -ahead / (1 << 14), top))[1]
+        marked = self.mark is not None and ticks - self.mark[1] <= 200_000
+        fade = sorted((-top, -ahead / (1 << (17 if marked else 14)), top))[1]
         skew, near = rate_q32 * Q32 - fade, (fastest - slowest) / 4 + Fraction(2, 10**6)
         if not self.settled:
             expected = (slowest + fastest) / 2
         else:
             assert self.skew is not None
-            early = ticks - self.wide < 8_000_000
+            early = marked or ticks - self.wide < 8_000_000
             expected = self.skew
             if abs(fade) < top:
                 expected += fade * (ticks - self.steered) / (1 << (20 if early else 22))

@@ -152,6 +152,8 @@ static void replay_sync_steer(void) {
     say_number("rate_q32", clock.rate_q32);
     say_number("least_error_ns", sync_state.least_error_ns);
     say_number("most_error_ns", sync_state.most_error_ns);
+    say_number("error_us", sync_error_us(&sync_state));
+    say_number("heard_us", sync_state.heard_us);
     say_number("settled", sync_state.settled);
     say_number("stepped", stepped);
     say_number("lineage", sync_state.lineage);
