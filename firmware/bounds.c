@@ -1,9 +1,8 @@
 #include "bounds.h"
-#include "fixed.h" // clamp
+#include "fixed.h" // products
 #include <string.h>
 
 #define SOLVE_ROUNDS 4             // of Newton's method; each ends with a valid bound
-#define STEP_MAX_Q32 (1 << 30)     // of it: beyond all drifts, and some of them do not overflow
 #define NOTHING_Q16 (-(1LL << 61)) // lower than all that a proof says
 
 void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int64_t base_us,
@@ -12,6 +11,7 @@ void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int
     bounds->base_us = base_us;
     bounds->ticks_us = ticks_us;
     bounds->lower.skew_q32 = bounds->upper.skew_q32 = -limits->drift_q32;
+    bounds->lower.value_q16 = bounds->upper.value_q16 = NOTHING_Q16;
 }
 
 // wander a^2 / 2, rounded up: ages in 1024 us keep the product within 64 bits.
@@ -100,9 +100,9 @@ static bool bound_skew(const struct bounds_limits *limits, struct bounds_side *s
         if (slope_us <= 0)
             return false;
         int64_t step_q32 = (overlap_q16 << 16) / slope_us; // it is below a second: see bounds_prove
-        if (step_q32 == 0)
-            return true;
-        side->skew_q32 += fixed_clamp64(step_q32, STEP_MAX_Q32);
+        side->skew_q32 += step_q32;
+        if (side->skew_q32 > limits->drift_q32)
+            return false;
     }
     return true;
 }
@@ -131,7 +131,7 @@ static struct bounds_line *room(struct bounds_side *side, const struct bounds_li
     enum { PROBES = 5 };
     if (side->count < BOUNDS_LINES)
         return &side->lines[side->count++];
-    int64_t top_q16[PROBES], deficit_q16 = -1;
+    int64_t top_q16[PROBES], deficit_q16 = 0;
     struct bounds_line *least = side->lines;
     int64_t range_q32 = skew_most_q32 - side->skew_q32;
     for (int32_t k = 0; k < PROBES; k++)
@@ -162,12 +162,12 @@ bool bounds_prove(struct bounds *bounds, const struct bounds_limits *limits, boo
     // no more than the skew's range makes of a line's age.
     int64_t least_q16 = line_q16(limits, &line, bounds->ticks_us, side->skew_q32);
     int64_t most_q16 = line_q16(limits, &line, bounds->ticks_us, -other->skew_q32);
-    if (other->count > 0 && least_q16 > -other->value_q16)
+    if (least_q16 > -other->value_q16)
         return false;
-    if (side->count > 0 && most_q16 <= side->value_q16)
+    if (most_q16 <= side->value_q16)
         return true; // known
     struct bounds before = *bounds;
-    if (side->count == 0 || least_q16 > side->value_q16)
+    if (least_q16 > side->value_q16)
         side->value_q16 = least_q16;
     *room(side, limits, bounds->ticks_us, -other->skew_q32) = line;
     if (solve(bounds, limits))
@@ -187,9 +187,10 @@ int64_t bounds_upper_q16(const struct bounds *bounds) { return -bounds->upper.va
 // A side's bound at other ticks: by the least of what the skew may have made of it, and wandered to.
 static int64_t side_at_q16(const struct bounds_limits *limits, const struct bounds_side *side,
                            const struct bounds_side *other, int64_t elapsed_us) {
-    int64_t skew_q32 = elapsed_us > 0 ? side->skew_q32 : -other->skew_q32;
+    int64_t least_q16 = (side->skew_q32 * elapsed_us) >> 16;
+    int64_t most_q16 = (-other->skew_q32 * elapsed_us) >> 16;
     int64_t slack = slack_q16(limits, elapsed_us > 0 ? elapsed_us : -elapsed_us);
-    return side->value_q16 + ((skew_q32 * elapsed_us) >> 16) - slack;
+    return side->value_q16 + (least_q16 < most_q16 ? least_q16 : most_q16) - slack;
 }
 
 int64_t bounds_lower_at_q16(const struct bounds *bounds, const struct bounds_limits *limits,
@@ -206,9 +207,16 @@ int64_t bounds_middle_q16(const struct bounds *bounds) {
     return (bounds->lower.value_q16 - bounds->upper.value_q16) >> 1;
 }
 
+static int64_t within(int64_t value, int64_t least, int64_t most) {
+    return value < least ? least : value > most ? most : value;
+}
+
+int64_t bounds_nearest_q16(const struct bounds *bounds, int64_t offset_q16) {
+    return within(offset_q16, bounds->lower.value_q16, -bounds->upper.value_q16);
+}
+
 int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32) {
-    int64_t least_q32 = bounds->lower.skew_q32, most_q32 = -bounds->upper.skew_q32;
-    return (int32_t)(skew_q32 < least_q32 ? least_q32 : skew_q32 > most_q32 ? most_q32 : skew_q32);
+    return (int32_t)within(skew_q32, bounds->lower.skew_q32, -bounds->upper.skew_q32);
 }
 
 int32_t bounds_skew_q32(const struct bounds *bounds) {

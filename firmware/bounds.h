@@ -37,7 +37,7 @@ struct bounds_line {
 struct bounds_side {
     int32_t count;
     struct bounds_line lines[BOUNDS_LINES]; // in any order
-    int64_t value_q16;                      // the side's bound now, if there is a line
+    int64_t value_q16;                      // the side's bound now; without lines far below all
     int64_t skew_q32;                       // and of the skew (of the upper side: of its negative)
 };
 
@@ -70,6 +70,7 @@ int64_t bounds_upper_at_q16(const struct bounds *bounds, const struct bounds_lim
                             int64_t ticks_us);
 int64_t bounds_middle_q16(const struct bounds *bounds);
 int32_t bounds_skew_q32(const struct bounds *bounds); // the middle of what it may be
-int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32); // that it may be
+int64_t bounds_nearest_q16(const struct bounds *bounds, int64_t offset_q16);    // that it may be
+int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32); // and of the skew
 
 #endif

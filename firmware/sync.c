@@ -111,8 +111,10 @@ static bool prove(struct sync *sync, const struct bounds_limits *limits,
     if (!is_near(lower_us) || (echoes && !is_near(upper_us)))
         return false;
     struct bounds_line lower = {lower_us * (1 << 16) - most_q16, arrived};
-    struct bounds_line upper = {echoes ? upper_us * (1 << 16) - least_q16 : 0, echo};
-    return prove_both(bounds, limits, lower, echoes ? &upper : 0);
+    if (!echoes)
+        return prove_both(bounds, limits, lower, 0);
+    struct bounds_line upper = {upper_us * (1 << 16) - least_q16, echo};
+    return prove_both(bounds, limits, lower, &upper);
 }
 
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
@@ -236,9 +238,7 @@ static int64_t target_q16(const struct sync *sync, int64_t ticks_us) {
     int64_t age_us = ticks_us - sync->mark_us;
     if (!is_marked(sync, ticks_us))
         return bounds_middle_q16(bounds);
-    int64_t middle_q16 = sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16);
-    int64_t lower_q16 = bounds_lower_q16(bounds), upper_q16 = bounds_upper_q16(bounds);
-    return middle_q16 < lower_q16 ? lower_q16 : middle_q16 > upper_q16 ? upper_q16 : middle_q16;
+    return bounds_nearest_q16(bounds, sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16));
 }
 
 // To the middle of what is proven; returns whether that was a step.
