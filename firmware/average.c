@@ -16,7 +16,7 @@ void average_take(struct average *average, int64_t offset_us) {
 
 bool average_rate(struct average *average, const struct average_settings *settings,
                   int64_t ticks_us, int32_t drift_q32, int32_t *rate_q32) {
-    if (ticks_us - average->began_us < settings->interval_us || average->count == 0)
+    if (ticks_us - average->began_us < settings->interval_us || !average->count)
         return false;
     int32_t mean_us = fixed_clamp64(average->sum_us / average->count, OFFSET_MAX_US);
     average->began_us = ticks_us;

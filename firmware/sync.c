@@ -152,7 +152,7 @@ struct mark sync_date(const struct sync *sync, const struct sync_settings *setti
     struct mark mark = {number, MARK_OPEN, 0};
     int64_t ticks_us = clock_ticks(clock, count_us), base_us = sync->bounds.base_us + ticks_us;
     int64_t ahead_us = ticks_us - sync->bounds.ticks_us; // of what is known
-    if (!sync->begun || !bounds_closed(&sync->bounds))
+    if (!sync->begun)
         return mark;
     if (ahead_us > DATE_US || ahead_us < -DATE_US) // as after a counter's jump
         return mark;
@@ -278,8 +278,6 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     struct bounds_limits limits = limits_of(settings);
     if (!sync->begun && settings->among_boards && may_step) // the own time, until there is better
         begin(sync, settings, clock, sync->id, clock->system_us - clock->ticks_us);
-    if (!sync->begun)
-        return false;
     bool steps = sync->stepped;
     sync->stepped = false;
     if (sync_is_reference(sync)) {

@@ -476,9 +476,9 @@ def report(found: dict[str, Any], effort: Effort, file: Path | None) -> None:
         worse = max(arms[1][key] / arms[0][key] for key in ("rms q1 mrad", "rms q2 mrad"))
         goals.append(goal("arm2: tracking at 100 ppm over that at 0", worse, "<=", 1.05))
     numbers = [
-        {"network and boards": key.removeprefix("tuning "), "p99.9 then": round(score, 1),
-         "numbers": ", ".join(f"{name} {value:.3g}" for name, value in best.items())}
-        for key, (best, score) in found.items() if key.startswith("tuning")
+        {"network and boards": key.removeprefix("tuning "), "p99.9 then": round(value[1], 1),
+         "numbers": ", ".join(f"{name} {number:.3g}" for name, number in value[0].items())}
+        for key, value in found.items() if key.startswith("tuning")
     ]  # fmt: skip
     for title, some in (
         (f"clocks, {effort.duration_us * 1e-6:g} s a seed; errors against the host in us", rows),

@@ -427,10 +427,10 @@ def edges() -> Iterator[str]:
         for early_us in (1000, 1, 0, -1000):
             count = {"count_us": 7 + second * 1_000_000 - early_us, "may_step": 0}
             yield line("sync-steer", **count)
-    for limit_us in range(598, 606):
+    for limit_us, later_us in ((limit, us) for limit in range(600, 604) for us in (0, 5000)):
         yield line("sync", **USUAL | {"limit_us": limit_us}, count_us=7)
         yield from _exchange(7, e + 900, e, 7)
-        yield line("sync-steer", count_us=1_000_007, may_step=0)
+        yield line("sync-steer", count_us=1_000_007 + later_us, may_step=0)
     for elapsed_us in (65_534, 65_535, 65_536, 70_000):  # while an offset is steered to
         yield line("sync", **USUAL | {"limit_us": 90_000}, count_us=7)
         yield from _exchange(7, e + 900, e, 7)
@@ -446,6 +446,7 @@ def edges() -> Iterator[str]:
             yield line("sync-steer", count_us=begin_us + 1_000_001, may_step=0)
             shown_us += 7 + again_us - begin_us
             at = 7 + again_us
+            yield line("sync-steer", count_us=at - 1, may_step=0)
             yield from _exchange(at, shown_us + 15, shown_us - 9, at, 0)
             yield line("sync-steer", count_us=at + later_us, may_step=0)
     yield line("sync", **USUAL, count_us=7)  # nothing was echoed yet
@@ -544,11 +545,11 @@ def averages(rng: Random) -> Iterator[str]:
             for passed in (999, 1000, 1001):
                 yield line("average-rate", **usual, **gains, ticks_us=ticks + passed)
             ticks += 1000
-    for offset in (-3, 3, -40):
+    for gain, offset in ((999, -3), (999, 3), (65_535, -16_384)):
         yield line("average", ticks_us=0)
         for ticks in (1000, 2000):
             yield line("average-take", offset_us=offset)
-            yield line("average-rate", **usual, phase_gain=9, skew_gain_q8=999, ticks_us=ticks)
+            yield line("average-rate", **usual, phase_gain=0, skew_gain_q8=gain, ticks_us=ticks)
     for times in ((1 << 20) - 1, 1 << 20, (1 << 20) + 1):
         for offset in (1 << 30, -(1 << 30), 1 << 31):
             yield line("average", ticks_us=0)
