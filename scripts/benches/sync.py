@@ -74,7 +74,7 @@ QUICK = Effort(
 )  # fmt: skip
 LONG = Effort(
     stars=100, chains=100, wholes=100, duration_us=120_000_000, skip_us=20_000_000, draws=60,
-    star_tuning=(4, 60_000_000), chain_tuning=(1, 20_000_000), instants=100, holdovers=40, arms=10,
+    star_tuning=(4, 60_000_000), chain_tuning=(1, 20_000_000), instants=100, holdovers=40, arms=40,
 )  # fmt: skip
 
 
