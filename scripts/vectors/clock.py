@@ -449,6 +449,12 @@ def edges() -> Iterator[str]:
             yield line("sync-steer", count_us=at - 1, may_step=0)
             yield from _exchange(at, shown_us + 15, shown_us - 9, at, 0)
             yield line("sync-steer", count_us=at + later_us, may_step=0)
+    yield line("sync", **USUAL, count_us=7)  # it may not step, so it does not begin
+    yield from _exchange(7, e + 9, e, 7, 0)
+    yield line("sync", **USUAL, count_us=7)  # what is echoed has not left yet
+    yield from _exchange(9, e + 9, e, 7)
+    yield line("sync", **USUAL | {"among_boards": 1, "id": 40}, count_us=7)
+    yield line("sync-steer", count_us=7, may_step=0)
     yield line("sync", **USUAL, count_us=7)  # nothing was echoed yet
     yield from _exchange(0, 0, e, 7)
     yield line("sync-date", mark_number=1, at_us=7)
