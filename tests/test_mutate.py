@@ -22,13 +22,17 @@ def mutate(*words: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True)
 
 
+def rows(path: Path) -> list[dict[str, str]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
 # ---- the firmware
 
 
 def test_a_shard_of_the_firmwares_mutants_is_killed_or_listed(tmp_path: Path) -> None:
     done = mutate("--shard", SHARD, "--json", tmp_path / "results.json")
     assert done.returncode == 0, done.stdout + done.stderr
-    results = json.loads((tmp_path / "results.json").read_text())
+    results = rows(tmp_path / "results.json")
     outcomes = [result["outcome"] for result in results]
     assert len(results) > 60 and outcomes.count("killed") > 0.8 * len(results)
     assert len({result["file"] for result in results}) >= 9
@@ -38,9 +42,9 @@ def test_a_shard_of_the_firmwares_mutants_is_killed_or_listed(tmp_path: Path) ->
 def test_the_vectors_reach_every_line_and_branch() -> None:
     done = mutate("--coverage")
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = re.findall(r"lines (\d+)/(\d+), branches (\d+)/(\d+)", done.stdout)
-    assert len(rows) >= 9
-    assert all(int(ran) > 0 for ran, *_ in rows)
+    counts = re.findall(r"lines (\d+)/(\d+), branches (\d+)/(\d+)", done.stdout)
+    assert len(counts) >= 9
+    assert all(int(ran) > 0 for ran, *_ in counts)
 
 
 # ---- the operators
@@ -267,8 +271,8 @@ class Tree:
     def accept(self, *entries: dict[str, Any], files: str = "firmware/clip.c") -> None:
         text = f'files = ["{files}"]\n'
         for entry in entries:
-            rows = "".join(f"{name} = {json.dumps(value)}\n" for name, value in entry.items())
-            text += f"[[survivor]]\n{rows}"
+            values = "".join(f"{name} = {json.dumps(value)}\n" for name, value in entry.items())
+            text += f"[[survivor]]\n{values}"
         (self.root / "tests" / "mutants.toml").write_text(text)
 
     def run(self, *words: str | Path) -> tuple[int, str, str]:
@@ -277,9 +281,9 @@ class Tree:
 
     def results(self) -> list[dict[str, str]]:
         path = self.root / "results.json"
+        path.unlink(missing_ok=True)
         self.run("--json", path)
-        found: list[dict[str, str]] = json.loads(path.read_text())
-        return found
+        return rows(path)
 
 
 def entry(
@@ -358,9 +362,9 @@ def test_what_only_a_sanitizer_sees_is_killed(tmp_path: Path) -> None:
     kept = "    volatile int even = value / 2 * 2;\n    (void)even;\n    int least"
     code = CLIP.replace("    int least", kept)
     tree = Tree(tmp_path, code, vectors=GOOD + "2147483647 5 5\n")
-    rows = [r for r in tree.results() if r["mutation"] == "2 -> 3 #2"]
-    assert [r["outcome"] for r in rows] == ["killed"]
-    assert "signed integer overflow" in rows[0]["by"]
+    found = [r for r in tree.results() if r["mutation"] == "2 -> 3 #2"]
+    assert [r["outcome"] for r in found] == ["killed"]
+    assert "signed integer overflow" in found[0]["by"]
 
 
 def test_a_sound_firmware_that_fails_is_no_verdict(tmp_path: Path) -> None:
@@ -415,6 +419,26 @@ def test_mistakes_in_the_list(tmp_path: Path, text: str, message: str) -> None:
     (tree.root / "tests" / "mutants.toml").write_text(text)
     code, _, err = tree.run()
     assert code == 2 and message in err and "Traceback" not in err
+
+
+def test_an_aborted_campaign_goes_on_from_its_results(tmp_path: Path) -> None:
+    tree, path = Tree(tmp_path), tmp_path / "kept.json"
+    assert tree.run("--workers", "1", "--json", path)[0] == 0
+    whole = path.read_text()
+    lines = whole.splitlines(keepends=True)
+    path.write_text("".join(lines[:2]) + lines[2][:9])  # aborted while it wrote the third
+    code, _, err = tree.run("--workers", "1", "--json", path)
+    assert code == 0 and f"2 of {len(lines)} are known" in err
+    assert path.read_text() == whole
+    kept = json.loads(lines[0]) | {"outcome": "survived"}
+    path.write_text(json.dumps(kept) + "\n")  # what is known is not tried again
+    assert tree.run("--json", path)[0] == 1
+    (tree.root / "tests" / "vectors" / "clip.txt").write_text("1 5 1\n7 5 5\n")
+    code, _, err = tree.run("--json", path)
+    assert code == 2 and "of other firmware or vectors: remove it" in err
+    path.write_text("[]\n")
+    code, _, err = tree.run("--json", path)
+    assert code == 2 and "no result: remove it" in err
 
 
 def test_list_tries_none(tmp_path: Path) -> None:

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import gcov
-from accepted import SHARE_MAX, Judged, MistakeError, load
+from accepted import SHARE_MAX, Judged, Key, MistakeError, load
 from builder import BuildError
-from campaign import BROKEN, EQUIVALENT, KILLED, SURVIVED, Case, Result, cases, run
-
-WORKERS = 2
+from campaign import BROKEN, EQUIVALENT, KILLED, SURVIVED, Case, Result, cases, digest, run
 
 
 def say(text: str) -> None:
@@ -31,7 +31,10 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("files", nargs="*", metavar="FILE", help="as firmware/gate.c; else all")
     parser.add_argument("--shard", default="0/1", metavar="I/N", help="every N-th mutant from I on")
     parser.add_argument("--list", action="store_true", help="print the mutants and try none")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every result there")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="every result, a line each as it comes"
+    )
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="threads; else 2")
     parser.add_argument("--coverage", action="store_true", help="lines and branches instead")
     parser.add_argument(
         "--root", type=Path, default=Path(__file__).resolve().parents[2], help=argparse.SUPPRESS
@@ -109,8 +112,8 @@ def print_survivor(case: Case) -> None:
     print(f"  - {case.key.line}\n  + {case.shown}")
 
 
-def as_json(result: Result) -> dict[str, object]:
-    """A row of --json."""
+def as_json(result: Result, of: str) -> dict[str, object]:
+    """A row of --json; `of` is the digest of what was judged, and by what."""
     key = result.case.key
     return {
         "file": key.file,
@@ -121,7 +124,36 @@ def as_json(result: Result) -> dict[str, object]:
         "kind": result.case.mutant.kind,
         "outcome": result.outcome,
         "by": result.by[:300],
+        "of": of,
     }
+
+
+def resumed(path: Path, of: str, chosen: Sequence[Case]) -> dict[Key, Result]:
+    """What an aborted campaign on the same firmware and vectors has left in `path`.
+
+    Raises MistakeError for a file of others, or of something else.
+    """
+    by_key = {case.key: case for case in chosen}
+    known = {}
+    # an abort may have cut the last line off
+    for line in path.read_text().split("\n")[:-1] if path.exists() else ():
+        try:
+            row = json.loads(line)
+            key = Key(row["file"], row["function"], row["line"], row["mutation"])
+            if row["of"] != of:
+                raise MistakeError(f"{path} has results of other firmware or vectors: remove it")
+            if key in by_key:
+                known[key] = Result(by_key[key], row["outcome"], row["by"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise MistakeError(f"{path} has a line that is no result: remove it") from error
+    return known
+
+
+def whole_lines(path: Path) -> None:
+    """Cuts off the part of a line that an abort has left at the end."""
+    if path.exists():
+        text = path.read_bytes()
+        os.truncate(path, text.rfind(b"\n") + 1)
 
 
 def print_coverage(root: Path, judged: Judged, files: list[str], vectors: list[Path]) -> int:
@@ -162,16 +194,25 @@ def hunt(options: argparse.Namespace, judged: Judged, files: list[str], vectors:
         return 0
     wrong = unmutated(root, vectors, every)
     alive = 0
+    of = digest(root, vectors)
+    known = resumed(options.json, of, chosen) if options.json else {}
+    if known:
+        whole_lines(options.json)
+        say(f"{len(known)} of {len(chosen)} are known from {options.json}")
+    kept = options.json.open("a", buffering=1) if options.json else nullcontext()
 
     def progress(done: int, result: Result) -> None:
         nonlocal alive
+        if out is not None:
+            out.write(json.dumps(as_json(result, of)) + "\n")
         if result.outcome == SURVIVED and result.case.key not in judged.survivors:
             alive += 1
             say(f"survived: line {result.case.line}: {result.case.key}")
         if done % 50 == 0 or done == len(chosen):
             say(f"{done}/{len(chosen)}, {alive} survived")
 
-    results = run(root, chosen, vectors, WORKERS, progress)
+    with kept as out:
+        results = run(root, chosen, vectors, options.workers, known, progress)
     for result in results:
         if result.outcome == SURVIVED and result.case.key not in judged.survivors:
             print_survivor(result.case)
@@ -179,8 +220,6 @@ def hunt(options: argparse.Namespace, judged: Judged, files: list[str], vectors:
     for text in (listed := mistakes(judged, every, results)) + [w for w in wrong if ":" in w]:
         print(text)
     print_table(results, judged)
-    if options.json:
-        options.json.write_text(json.dumps([as_json(result) for result in results], indent=1))
     return 1 if wrong or listed else 0
 
 
