@@ -149,6 +149,10 @@ class Task(Section):
     Between its rows the motion is a cubic spline, at rest at both ends. custom: a Python file with
     a function `objective`. Relative to this config.
     """
+    tool: str | None = None
+    """track: a body or site of the model. The columns are then time_s and its place in the world,
+    x_m, y_m and z_m; joints are found for each row, one posture near the other.
+    """
     target_rad_or_m: list[Finite] | None = None
     """regulate, custom: a position for each axis."""
     parameters: dict[str, Finite] = Field(default={})
@@ -158,12 +162,13 @@ class Task(Section):
     def _has_its_keys(self) -> Task:
         own = {
             "sines": ("frequency_Hz", "axes"),
-            "track": ("file",),
+            "track": ("file", "tool"),
             "regulate": ("target_rad_or_m",),
             "custom": ("file", "target_rad_or_m", "parameters"),
         }
+        optional = {"tool", "parameters"}
         given = {key for keys in own.values() for key in keys if getattr(self, key)}
-        missing = [key for key in own[self.kind] if key not in given and key != "parameters"]
+        missing = [key for key in own[self.kind] if key not in given | optional]
         if missing:
             raise ValueError(f"a task of the kind {self.kind} needs {' and '.join(missing)}")
         if others := sorted(given - set(own[self.kind])):
@@ -207,7 +212,11 @@ class Mpc(Section):
     by stages, the same time every tick.
     """
     max_iterations: Annotated[int, Field(ge=10, le=100000)] = 150
-    """Of OSQP in one tick."""
+    """Of OSQP in one program."""
+    sqp_iterations: Annotated[int, Field(ge=1, le=100)] = 1
+    """Programs a tick, each linearized around the answer of the last. One is the real-time
+    iteration; each more costs as much again, after the estimate has come.
+    """
 
 
 class Estimator(Section):

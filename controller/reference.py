@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from headway.configs.schema import Config, Task
+from headway.controller.kinematics import postures
 from headway.controller.objective import Costs, read_costs
-from headway.models.machine import Machine
+from headway.models.machine import Machine, load_machine
 
 Array = NDArray[np.float64]
 
@@ -48,12 +49,30 @@ def task_reference(config: Config, folder: Path) -> TaskReference:
         assert task.file is not None and task.target_rad_or_m is not None
         source = (folder / task.file).resolve()
         return Custom(source, np.array(task.target_rad_or_m), task.parameters)
+    if task.file is not None and task.tool is not None:
+        return _of_tool(config, folder, task.file, task.tool)
     if task.file is not None:
         joints = [axis.joint for axis in config.machine.axes]
-        return Stamped.read((folder / task.file).resolve(), joints)
+        return Stamped(*read_stamped((folder / task.file).resolve(), joints))
     if task.target_rad_or_m is not None:
         return Target(np.array(task.target_rad_or_m))
     return Sines(task)
+
+
+def _of_tool(config: Config, folder: Path, file: str, tool: str) -> Stamped:
+    """Of the joints, from places of a tool. The first posture is the one near the machine's own at
+    power-up, if that is given, else near the middle of its range."""
+    path, axes = (folder / file).resolve(), config.machine.axes
+    machine = load_machine((folder / config.machine.model).resolve())
+    machine.require_axes(tuple(axis.joint for axis in axes))
+    time_s, places = read_stamped(path, ["x_m", "y_m", "z_m"])
+    low, high = np.array([(axis.lowest, axis.highest) for axis in axes]).T
+    middle = np.array([axis.poses for axis in axes]).mean(axis=1)
+    start = middle if config.sim.start_rad_or_m is None else np.array(config.sim.start_rad_or_m)
+    try:
+        return Stamped(time_s, postures(machine, tool, places, start, low, high))
+    except ValueError as error:
+        raise ValueError(f"task.file: {path}: {error}") from error
 
 
 class Sines:
@@ -133,36 +152,36 @@ class Stamped:
         position, v, a = (self._spline(t, order) for order in range(3))
         return position, np.where(moving, v, 0), np.where(moving, a, 0)
 
-    @classmethod
-    def read(cls, path: Path, joints: list[str]) -> Stamped:
-        """A CSV file with the columns time_s and one a joint, in any order.
 
-        Raises ValueError with the line of what is wrong.
-        """
+def read_stamped(path: Path, columns: list[str]) -> tuple[Array, Array]:
+    """Times (m,) and values (m, k) of a CSV file with time_s and these columns, in any order.
+
+    Raises ValueError with the line of what is wrong.
+    """
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeError) as error:
+        raise ValueError(f"task.file: {path}: cannot be read: {error}") from error
+    head, wanted = [name.strip() for name in rows[0]] if rows else [], ["time_s", *columns]
+    if sorted(head) != sorted(wanted):
+        raise ValueError(
+            f"task.file: {path}: line 1 names the columns {', '.join(head)}; the task "
+            f"needs {', '.join(wanted)}"
+        )
+    order, values = [head.index(name) for name in wanted], []
+    for number, row in enumerate(rows[1:], 2):
         try:
-            rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
-        except (OSError, UnicodeError) as error:
-            raise ValueError(f"task.file: {path}: cannot be read: {error}") from error
-        head, wanted = [name.strip() for name in rows[0]] if rows else [], ["time_s", *joints]
-        if sorted(head) != sorted(wanted):
-            raise ValueError(
-                f"task.file: {path}: line 1 names the columns {', '.join(head)}; the config's "
-                f"machine needs {', '.join(wanted)}"
-            )
-        order, values = [head.index(name) for name in wanted], []
-        for number, row in enumerate(rows[1:], 2):
-            try:
-                values.append([float(row[i]) for i in order])
-            except (ValueError, IndexError):
-                values.append([np.nan])
-            if len(row) != len(head) or not np.isfinite(values[-1]).all():
-                raise ValueError(f"task.file: {path}: line {number} is not {len(head)} numbers")
-            if len(values) > 1 and values[-1][0] <= values[-2][0]:
-                raise ValueError(f"task.file: {path}: line {number}: time_s does not increase")
-        if len(values) < 2:
-            raise ValueError(f"task.file: {path}: has {len(values)} rows; a motion needs two")
-        table = np.array(values)
-        return cls(table[:, 0], table[:, 1:])
+            values.append([float(row[i]) for i in order])
+        except (ValueError, IndexError):
+            values.append([np.nan])
+        if len(row) != len(head) or not np.isfinite(values[-1]).all():
+            raise ValueError(f"task.file: {path}: line {number} is not {len(head)} numbers")
+        if len(values) > 1 and values[-1][0] <= values[-2][0]:
+            raise ValueError(f"task.file: {path}: line {number}: time_s does not increase")
+    if len(values) < 2:
+        raise ValueError(f"task.file: {path}: has {len(values)} rows; a motion needs two")
+    table = np.array(values)
+    return table[:, 0], table[:, 1:]
 
 
 class Entry:

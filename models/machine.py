@@ -37,14 +37,19 @@ class Machine:
                 f"{', '.join(self.joints)}: list all of them, in that order"
             )
 
+    def frame(self, name: str) -> int:
+        """Pinocchio's index of a body or a site. Raises ValueError for a name that the model does
+        not have."""
+        kinds = pin.FrameType.BODY, pin.FrameType.OP_FRAME
+        frames = {f.name: i for i, f in enumerate(self.model.frames) if f.type in kinds}
+        if name not in frames:
+            raise ValueError(f"the model has no {name}; it has {', '.join(frames)}")
+        return frames[name]
+
     def place(self, name: str, q: Any) -> Any:
         """Where the origin of a body or a site is in the world (3, 1) [m], as an expression of the
         joints' positions. Raises ValueError for a name that the model does not have."""
-        kinds = pin.FrameType.BODY, pin.FrameType.OP_FRAME  # bodies and sites
-        frames = {frame.name: frame for frame in self.model.frames if frame.type in kinds}
-        if name not in frames:
-            raise ValueError(f"the model has no {name}; it has {', '.join(frames)}")
-        frame = frames[name]
+        frame = self.model.frames[self.frame(name)]
         at = ca.SX(np.array(frame.placement.translation))
         if frame.parentJoint == 0:
             return at

@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 
 from headway.configs.load import ConfigError, load_config
 from headway.configs.schema import Task
-from headway.controller.reference import Entry, Sines, Stamped
+from headway.controller.reference import Entry, Sines, Stamped, read_stamped
 from headway.sim.lockstep import Lockstep
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def test_a_file_is_followed_through_its_rows_and_at_rest_at_its_ends(tmp_path: P
     q = np.cumsum(rng.normal(0, 0.1, (20, 2)), axis=0)
     rows = [f"{b:.17g},{t:.17g},{a:.17g}" for t, (a, b) in zip(time_s, q, strict=True)]
     file = table(tmp_path / "way.csv", "\n".join(["q2, time_s, q1", *rows]))
-    stamped = Stamped.read(file, ["q1", "q2"])
+    stamped = Stamped(*read_stamped(file, ["q1", "q2"]))
     at, v, _ = stamped.at(time_s - time_s[0])
     np.testing.assert_allclose(at, q, atol=1e-12)
     for ends in (v[0], v[-1]):
@@ -104,9 +104,9 @@ def test_a_file_is_followed_through_its_rows_and_at_rest_at_its_ends(tmp_path: P
 )
 def test_a_file_that_cannot_be_followed(tmp_path: Path, text: str, what: str) -> None:
     with pytest.raises(ValueError, match=what):
-        Stamped.read(table(tmp_path / "way.csv", text), ["q1", "q2"])
+        read_stamped(table(tmp_path / "way.csv", text), ["q1", "q2"])
     with pytest.raises(ValueError, match="cannot be read"):
-        Stamped.read(tmp_path / "nothing.csv", ["q1", "q2"])
+        read_stamped(tmp_path / "nothing.csv", ["q1", "q2"])
 
 
 # The other kinds in closed loop.
