@@ -33,6 +33,7 @@ class Osqp(Solver):
         constraints_indptr: Indices,
         lower: Array,
         upper: Array,
+        scale: Array,
         max_iterations: int,
         tolerance: float,
     ) -> None: ...
@@ -63,6 +64,8 @@ class Hpipm(Solver):
 class Feedback:
     status: int
     iterations: int
+    stationarity: float
+    complementarity: float
     residual: float
     accepted: bool
     solve_us: float
@@ -88,7 +91,15 @@ class Tick:
         z: Array,
         judge: Bound,
         residual: Array,
-        encoding: Encoding,
+        encoding: Encoding | None,
+        sqp_iterations: int,
+        driven: list[int],
+        scale: Array,
+        x: Array,
+        u: Array,
+        assumed: Array,
+        around: Array,
+        d: Array,
     ) -> None: ...
     def prepare(self) -> None: ...
     def feedback(self) -> Feedback: ...

@@ -3,6 +3,7 @@
 #include "hpipm.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 // At rest within this: an equality has no interior, which the method needs.
@@ -270,5 +271,27 @@ Answer Hpipm::solve(double *z) {
     }
     std::fill(torques + w * (count + 1), z + p_.gradient.size(), 0.0); // its slacks stay with it
     // At its limit of iterations the residual decides.
-    return {status, iterations, status == SUCCESS || status == MAX_ITER};
+    Answer answer{status, iterations, status == SUCCESS || status == MAX_ITER};
+    measure(answer);
+    return answer;
+}
+
+// From the residuals at the answer, as the method has them: of a stage first its controls, then
+// its state; what is left are slacks.
+void Hpipm::measure(Answer &answer) const {
+    int x = 2 * p_.axes, w = (int)p_.driven.size(), count = p_.intervals;
+    const double *scale = p_.column_scale.data(), *torque = scale + x * (count + 1);
+    answer.stationarity = answer.complementarity = 0;
+    for (int i = 0; i <= count; ++i) {
+        int nu = dim_.nu[i], nx = dim_.nx[i];
+        const double *slope = work_.res->res_g[i].pa;
+        for (int k = 0; k < nu + nx; ++k) {
+            bool state = k >= nu && k < nu + x;
+            double of = state ? scale[k - nu] : torque[(k < nu ? k : k - nu - x) % w];
+            answer.stationarity = std::max(answer.stationarity, std::abs(slope[k]) / of);
+        }
+        const blasfeo_dvec &product = work_.res->res_m[i];
+        for (int k = 0; k < product.m; ++k)
+            answer.complementarity = std::max(answer.complementarity, std::abs(product.pa[k]));
+    }
 }

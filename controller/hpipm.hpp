@@ -43,6 +43,7 @@ class Hpipm : public Solver {
     void set_constant();
     void set_curvature();
     void set_vectors();
+    void measure(Answer &answer) const;
 
     Stages p_;
     std::vector<std::unique_ptr<char[]>> memory_; // what HPIPM works in

@@ -164,7 +164,7 @@ class Loop:
             # The brakes let go at the start knot: till then the position is known, nothing moves.
             self.start_us = start.knot * self._knot_us
             self.estimator.reset(self.start_us, start.position)
-            self._enter(start.position, 0.0)
+            self._enter(start.position, start.torque, 0.0)
             rows = start.position, np.zeros_like(start.position), start.torque
             rest = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rows))
             self._last, self._planned = (start.knot, rest), start.knot
@@ -253,15 +253,17 @@ class Loop:
         _, motion = self._last
         if commit_knot - self._planned >= self._horizon:
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
-            self._enter(motion.position[-1], start_s)
+            self._enter(motion.position[-1], motion.torque[-1], start_s)
             self._wanted = self._wanted_from(commit_knot)
 
-    def _enter(self, position: Array, start_s: float) -> None:
+    def _enter(self, position: Array, torque: Array, start_s: float) -> None:
         """From rest at a position onto the task's reference; how often a continuous axis has turned
         before makes no difference."""
         way = position - self.task.at(np.array([start_s]))[0][0]
         turns = whole_turns(self._config.machine.axes, way)
         self._reference = Entry(self.task, position, start_s, ENTRY_S, turns)
+        time_us = self.start_us + round(start_s * 1e6)
+        self._recorder.add(("entry", time_us, (start_s, position, torque)))
 
     def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
         """Points by axis, and their roll-out, if there is a plan."""

@@ -110,13 +110,14 @@ NB_MODULE(_tick, m) {
     nb::class_<Osqp, Solver>(m, "Osqp").def(
         "__init__",
         [](Osqp *self, Numbers p, Indices pi, Indices pp, bool p_changes, Numbers q, Numbers a,
-           Indices ai, Indices ap, Numbers l, Numbers u, int max_iterations, double tolerance) {
-            new (self)
-                Osqp({p, pi, pp}, p_changes, q, {a, ai, ap}, l, u, max_iterations, tolerance);
+           Indices ai, Indices ap, Numbers l, Numbers u, Numbers scale, int max_iterations,
+           double tolerance) {
+            new (self) Osqp({p, pi, pp}, p_changes, q, {a, ai, ap}, l, u, scale, max_iterations,
+                            tolerance);
         },
         "hessian"_a, "hessian_indices"_a, "hessian_indptr"_a, "hessian_changes"_a, "gradient"_a,
         "constraints"_a, "constraints_indices"_a, "constraints_indptr"_a, "lower"_a, "upper"_a,
-        "max_iterations"_a, "tolerance"_a,
+        "scale"_a, "max_iterations"_a, "tolerance"_a,
         "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
         "that OSQP refuses.");
     nb::class_<Hpipm, Solver>(m, "Hpipm")
@@ -140,6 +141,8 @@ NB_MODULE(_tick, m) {
     nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
         .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })
+        .def_prop_ro("stationarity", [](const Feedback &f) { return f.answer.stationarity; })
+        .def_prop_ro("complementarity", [](const Feedback &f) { return f.answer.complementarity; })
         .def_ro("residual", &Feedback::residual)
         .def_ro("accepted", &Feedback::accepted)
         .def_ro("solve_us", &Feedback::solve_us);
@@ -156,12 +159,23 @@ NB_MODULE(_tick, m) {
         .def(
             "__init__",
             [](Tick *self, std::vector<Bound *> before, Solver &solver, Bound &vectors, Array z,
-               Bound &judge, Array residual, Encoding &encoding) {
-                new (self) Tick{before, solver, vectors, z, judge, residual, encoding};
+               Bound &judge, Array residual, Encoding *encoding, int sqp_iterations,
+               std::vector<int> driven, Array scale, Array x, Array u, Array assumed, Array around,
+               Array d) {
+                size_t torques = u.size() / d.size() * driven.size();
+                if (scale.size() < x.size() + torques || z.size() < scale.size() ||
+                    around.size() != u.size() || assumed.size() != d.size())
+                    throw std::invalid_argument("a guess of another size than the variables");
+                new (self)
+                    Tick{before,   solver,
+                         vectors,  z,
+                         judge,    residual,
+                         encoding, {sqp_iterations, driven, scale, x, u, assumed, around, d}};
             },
-            "before"_a, "solver"_a, "vectors"_a, "z"_a, "judge"_a, "residual"_a, "encoding"_a,
-            nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
-            nb::keep_alive<1, 6>(), nb::keep_alive<1, 8>())
+            "before"_a, "solver"_a, "vectors"_a, "z"_a, "judge"_a, "residual"_a,
+            "encoding"_a.none(), "sqp_iterations"_a, "driven"_a, "scale"_a, "x"_a, "u"_a,
+            "assumed"_a, "around"_a, "d"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(),
+            nb::keep_alive<1, 4>(), nb::keep_alive<1, 6>(), nb::keep_alive<1, 8>())
         .def("prepare", &Tick::prepare, free_gil(),
              "Runs `before`, then has the solver take the matrices.")
         .def("feedback", &Tick::feedback, free_gil());

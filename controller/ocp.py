@@ -145,8 +145,8 @@ class Ocp:
             "soft_min": limits.soft_min[:, None],
             "soft_max": limits.soft_max[:, None],
             "approach_s": limits.approach_s[:, None],
-            "column_scale": self._column_scale[:, None],
-            "row_scale": self._row_scale[:, None],
+            "column_scale": self.column_scale[:, None],
+            "row_scale": self.row_scale[:, None],
             "costs": np.empty((0, 1)) if self._costs is None else self._costs.parameters[:, None],
         }
 
@@ -157,26 +157,26 @@ class Ocp:
         n, nodes = self.n, self.intervals + 1
         state = 1 / np.sqrt(np.maximum(self._state_weight, 1.0))
         slack = 1 / np.sqrt(self._soft_weight)
-        self._column_scale = np.concatenate(
+        self.column_scale = np.concatenate(
             (np.tile(state, nodes), np.tile(self._effort, nodes), slack)
         )
-        self._row_scale = np.ones(self.rows)
-        self._row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
-        self._row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:][self.driven], 2)
+        self.row_scale = np.ones(self.rows)
+        self.row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
+        self.row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:][self.driven], 2)
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
-        self._row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
-        self.hessian_scale = self._by_entry(self.hessian, self._column_scale)
+        self.row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
+        self.hessian_scale = self._by_entry(self.hessian, self.column_scale)
         self.hessian.data *= self.hessian_scale
-        entry_scale = self._by_entry(self.constraints, self._row_scale)
+        entry_scale = self._by_entry(self.constraints, self.row_scale)
         self.constraints.data *= entry_scale
         self.dynamics_scale = entry_scale[self._dynamics_place]
 
     def _by_entry(self, matrix: sp.csc_matrix, row_scale: Array) -> Array:
         """What each entry is multiplied by."""
         of_column = np.repeat(np.arange(self.size), np.diff(matrix.indptr))
-        scale: Array = row_scale[matrix.indices] * self._column_scale[of_column]
+        scale: Array = row_scale[matrix.indices] * self.column_scale[of_column]
         return scale
 
     def _build_hessian(self) -> sp.csc_matrix:
@@ -286,7 +286,7 @@ class Ocp:
         torque[:, :-1] -= steps
         state = diagonal[self.states].reshape(-1, 2 * n).T
         hessian = np.asfortranarray(state), np.asfortranarray(torque), np.asfortranarray(steps)
-        scales = self._column_scale, self._row_scale
+        scales = self.column_scale, self.row_scale
         return scales, hessian, (self.limits.approach_s, self._soft_weight)
 
     def functions(self, knots: int) -> list[ca.Function]:
@@ -353,7 +353,7 @@ class Ocp:
         """x, u: the guess; after: linearized along it, for the disturbance `assumed`; start (2n,):
         the state at the commit knot, d: the disturbance; reference (2n, N+1); committed, holding
         (n,): the torques that the plan should begin and end with. To the vectors, and to the
-        torque (w, N+1) around which they are.
+        torque (n, N+1) around which they are.
         """
         n, w, count, p = self.n, len(self.driven), self.intervals, self._parameters()
         driven, moved = self.driven, [n + axis for axis in self.driven]
@@ -403,7 +403,7 @@ class Ocp:
             "gradient": gradient * p["column_scale"],
             "lower": ca.vertcat(ca.vertcat(*lower) * p["row_scale"][: self._soft_row], free),
             "upper": ca.vertcat(*upper) * p["row_scale"],
-            "around": u,
+            "around": among(u, driven, n),
         }
         return named_function("vectors", inputs, outputs)
 
@@ -416,10 +416,10 @@ class Ocp:
         """
         n, w, count, p = self.n, len(self.driven), self.intervals, self._parameters()
         (x, _), (a, b0, b1) = self._nodes(), self._linearized()
-        u, z = ca.MX.sym("around", w, count + 1), ca.MX.sym("z", self.size)
+        around, z = ca.MX.sym("around", n, count + 1), ca.MX.sym("z", self.size)
         rows = self._soft_row
         lower, upper = ca.MX.sym("lower", self.rows), ca.MX.sym("upper", self.rows)
-        driven, unscaled = self.driven, z * p["column_scale"]
+        driven, u, unscaled = self.driven, around[self.driven, :], z * p["column_scale"]
         dx = ca.reshape(unscaled[self.states], 2 * n, count + 1)
         du = ca.reshape(unscaled[self.torques], w, count + 1)
         intervals = zip(
@@ -452,8 +452,8 @@ class Ocp:
         # The spline may swing beyond its nodes.
         torque = among(ca.fmin(ca.fmax(along.torques(u + du), -limit), limit), driven, n)
         inputs = {
-            "z": z, "x": x, "around": u, "a": a, "b0": b0, "b1": b1, "lower": lower, "upper": upper,
-            "parameters": self._vector,
+            "z": z, "x": x, "around": around, "a": a, "b0": b0, "b1": b1, "lower": lower,
+            "upper": upper, "parameters": self._vector,
         }  # fmt: skip
         # The largest of numbers hides one that is not a number; their sum does not.
         judged = ca.vertcat(residual, ca.sum1(value))

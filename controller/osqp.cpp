@@ -1,6 +1,7 @@
 #include "osqp.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 
@@ -13,9 +14,10 @@ static OSQPCscMatrix view(Sparse &m, OSQPInt rows) {
 }
 
 Osqp::Osqp(Sparse hessian, bool hessian_changes, Numbers gradient, Sparse constraints,
-           Numbers lower, Numbers upper, int max_iterations, double tolerance)
-    : hessian_(hessian.data), hessian_changes_(hessian_changes), gradient_(gradient), lower_(lower),
-      upper_(upper), data_(constraints.data), idle_(gradient.size(), 0.0) {
+           Numbers lower, Numbers upper, Numbers scale, int max_iterations, double tolerance)
+    : hessian_(hessian), hessian_changes_(hessian_changes), constraints_(constraints),
+      gradient_(gradient), lower_(lower), upper_(upper), scale_(scale), slope_(gradient.size()),
+      value_(lower.size()), idle_(gradient.size(), 0.0) {
     OSQPSettings settings;
     osqp_set_default_settings(&settings);
     settings.verbose = 0;
@@ -38,10 +40,10 @@ Osqp::Osqp(Sparse hessian, bool hessian_changes, Numbers gradient, Sparse constr
 }
 
 bool Osqp::update() {
-    OSQPFloat *hessian = hessian_changes_ ? hessian_.data() : nullptr;
-    return osqp_update_data_mat(solver_.get(), hessian, nullptr,
-                                hessian ? (OSQPInt)hessian_.size() : 0, data_.data(), nullptr,
-                                (OSQPInt)data_.size()) == 0;
+    const Numbers &squares = hessian_.data, &entries = constraints_.data;
+    return osqp_update_data_mat(solver_.get(), hessian_changes_ ? squares.data() : nullptr, nullptr,
+                                hessian_changes_ ? (OSQPInt)squares.size() : 0, entries.data(),
+                                nullptr, (OSQPInt)entries.size()) == 0;
 }
 
 void Osqp::forget() {
@@ -58,5 +60,36 @@ Answer Osqp::solve(double *z) {
     OSQPInt status = s->info->status_val;
     bool good = status == OSQP_SOLVED || status == OSQP_SOLVED_INACCURATE ||
                 status == OSQP_MAX_ITER_REACHED; // then the residual decides
-    return {(int)status, (int)s->info->iter, good};
+    Answer answer{(int)status, (int)s->info->iter, good};
+    measure(*s->solution, answer);
+    return answer;
+}
+
+// Slope P z + q + A' y, and each row's multiplier times its distance from the bound it is of.
+void Osqp::measure(const OSQPSolution &solution, Answer &answer) {
+    const double *z = solution.x, *y = solution.y, *p = hessian_.data.data();
+    const double *a = constraints_.data.data();
+    const OSQPInt *p_row = hessian_.indices.data(), *p_first = hessian_.indptr.data();
+    const OSQPInt *a_row = constraints_.indices.data(), *a_first = constraints_.indptr.data();
+    std::copy_n(gradient_.data(), slope_.size(), slope_.begin());
+    std::fill(value_.begin(), value_.end(), 0.0);
+    for (size_t column = 0; column < slope_.size(); ++column) {
+        for (OSQPInt k = p_first[column]; k < p_first[column + 1]; ++k) {
+            size_t row = (size_t)p_row[k];
+            slope_[row] += p[k] * z[column];
+            if (row != column)
+                slope_[column] += p[k] * z[row];
+        }
+        for (OSQPInt k = a_first[column]; k < a_first[column + 1]; ++k) {
+            slope_[column] += a[k] * y[a_row[k]];
+            value_[(size_t)a_row[k]] += a[k] * z[column];
+        }
+    }
+    answer.stationarity = answer.complementarity = 0;
+    for (size_t i = 0; i < slope_.size(); ++i)
+        answer.stationarity = std::max(answer.stationarity, std::abs(slope_[i]) / scale_.data()[i]);
+    for (size_t i = 0; i < value_.size(); ++i) {
+        double distance = y[i] > 0 ? upper_.data()[i] - value_[i] : value_[i] - lower_.data()[i];
+        answer.complementarity = std::max(answer.complementarity, std::abs(y[i] * distance));
+    }
 }

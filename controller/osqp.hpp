@@ -25,18 +25,22 @@ struct Sparse { // by columns
 
 class Osqp : public Solver {
   public:
-    // P's upper half, q, A, l and u. The arrays stay where they are and are read again, P only if it
-    // changes.
+    // P's upper half, q, A, l and u, in variables that are `scale` in SI. The arrays stay where they
+    // are and are read again, P only if it changes.
     Osqp(Sparse hessian, bool hessian_changes, Numbers gradient, Sparse constraints, Numbers lower,
-         Numbers upper, int max_iterations, double tolerance);
+         Numbers upper, Numbers scale, int max_iterations, double tolerance);
     bool update() override;
     Answer solve(double *z) override;
     void forget() override;
 
   private:
-    Numbers hessian_;
+    void measure(const OSQPSolution &solution, Answer &answer);
+
+    Sparse hessian_;
     bool hessian_changes_;
-    Numbers gradient_, lower_, upper_, data_;
+    Sparse constraints_;
+    Numbers gradient_, lower_, upper_, scale_;
+    std::vector<double> slope_, value_; // of the Lagrangian; of the constraints
     std::vector<double> idle_; // where each solution is looked for first: no deviation at all
     std::unique_ptr<OSQPSolver, OSQPInt (*)(OSQPSolver *)> solver_{nullptr, osqp_cleanup};
 };

@@ -79,7 +79,7 @@ class Prediction:
         self.law, self.n, self.horizon_knots = law, len(law.kp), horizon_knots
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
-        linearize = _interval(equations).map("linearize", "serial", intervals, [3, 4, 5], [])
+        linearize = interval(equations).map("linearize", "serial", intervals, [3, 4, 5], [])
         functions = [_step(equations), rollout, linearize, equations.inverse]
         self._library = compile_functions("machine", functions)
         self.step, self._inverse = self.call("step"), self.call("inverse")
@@ -150,7 +150,7 @@ def _step(equations: Equations) -> ca.Function:
     return ca.Function("step", [x, d, *tracks, dt, law], [after[:, 0], after[:, 1:]])
 
 
-def _interval(equations: Equations) -> ca.Function:
+def interval(equations: Equations) -> ca.Function:
     """One driven step, the torque going linearly from u0 to u1, with its Jacobians."""
     n = equations.n
     x, d, dt, law = _symbols(n)

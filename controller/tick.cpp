@@ -33,9 +33,8 @@ void Tick::prepare() {
 
 // The answer is used if the solver says so, all its numbers are finite and of sane size, and the
 // residual as we compute it is small. Otherwise the solver is to begin anew.
-Feedback Tick::feedback() const {
-    Feedback f;
-    double began = now_us();
+void Tick::solve(Feedback &f) {
+    f.accepted = false;
     generated_run(&vectors.generated);
     try {
         if (ready)
@@ -54,8 +53,35 @@ Feedback Tick::feedback() const {
     }
     if (!f.accepted)
         solver.forget();
+}
+
+// The answer is the guess of the next program.
+void Tick::step() {
+    const double *z_x = z.data(), *z_u = z_x + sqp.x.size();
+    const double *scale_x = sqp.scale.data(), *scale_u = scale_x + sqp.x.size();
+    for (size_t i = 0; i < sqp.x.size(); ++i)
+        sqp.x.data()[i] += scale_x[i] * z_x[i];
+    std::copy_n(sqp.around.data(), sqp.u.size(), sqp.u.data());
+    size_t n = sqp.d.size(), w = sqp.driven.size(), nodes = sqp.u.size() / n;
+    for (size_t i = 0; i < nodes; ++i)
+        for (size_t j = 0; j < w; ++j)
+            sqp.u.data()[i * n + (size_t)sqp.driven[j]] += scale_u[i * w + j] * z_u[i * w + j];
+    std::copy_n(sqp.d.data(), sqp.d.size(), sqp.assumed.data());
+    prepare();
+}
+
+Feedback Tick::feedback() {
+    Feedback f;
+    double began = now_us();
+    solve(f);
+    for (int i = 1; f.accepted && i < sqp.iterations; ++i) {
+        step();
+        int before = f.answer.iterations;
+        solve(f);
+        f.answer.iterations += before;
+    }
     f.solve_us = now_us() - began;
-    if (f.accepted)
-        encoding.run();
+    if (f.accepted && encoding)
+        encoding->run();
     return f;
 }

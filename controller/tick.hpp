@@ -27,13 +27,24 @@ struct Feedback {
 struct Tick {
     std::vector<Bound *> before; // what can be done before the estimate is known
     Solver &solver;
-    Bound &vectors; // fills in what the estimate decides
-    Array z;        // the solver's answer
-    Bound &judge;   // of the answer: its residual, and the motion that it is
-    Array residual; // and a sum of all that it was judged by
-    Encoding &encoding;
+    Bound &vectors;     // fills in what the estimate decides
+    Array z;            // the solver's answer
+    Bound &judge;       // of the answer: its residual, and the motion that it is
+    Array residual;     // and a sum of all that it was judged by
+    Encoding *encoding; // none: nobody wants tracks
+    // Of sequential quadratic programming: so many programs a tick, each around the last one's answer.
+    struct {
+        int iterations;
+        std::vector<int> driven;        // axes with a motor, whose torques are in z
+        Array scale;                    // of z, in SI: states x, then torques u
+        Array x, u, assumed, around, d; // the guess and what it is for; see ocp.py
+    } sqp;
     bool ready = false; // the solver has taken the matrices
 
     void prepare();
-    Feedback feedback() const;
+    Feedback feedback();
+
+  private:
+    void solve(Feedback &f);
+    void step();
 };

@@ -107,7 +107,8 @@ class Encoder:
         encode = Call(library, "encode", pool)
         tracks = pool["tracks"]
         pool |= {"start": tracks[:, :-1], "middle": pool["middles"], "end": tracks[:, 1:]}
-        rollout, relieve = prediction.call("rollout", pool), Call(library, "relieve", pool)
+        self._rollout = rollout = prediction.call("rollout", pool)
+        self._relieve = relieve = Call(library, "relieve", pool)
         pool["dt"][...], pool["limit"][:, 0] = self._h, self._law.limit
         pool["quanta"][:, 0] = np.concatenate(list(self._scale.values()))
         pool["feedback"][...] = self._law.feedback[:, None]
@@ -143,6 +144,23 @@ class Encoder:
             feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
             self.pool["feedback"][...] = feedback.T
         self.pool["x"][:, 0], self.pool["d"][...] = start, disturbance[:, None]
+
+    def roll(self, points: list[dict[int, Array]], start: Array, disturbance: Array) -> Motion:
+        """What the servos, with the config's gains, make of control points (from a plan's first
+        on, by axis) from state `start` (2n,)."""
+        r, f = (
+            np.array([of_axis[sink] for of_axis in points]) / self._scale[sink][:, None]
+            for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
+        )
+        pool, h, feedback = self.pool, self._h, self._law.feedback[:, None]
+        rows = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h, _at_knots(f, VALUE)
+        pool["tracks"][...] = np.vstack((*rows, np.repeat(feedback, len(rows[0].T), axis=1)))
+        rows = _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
+        pool["middles"][...] = np.vstack((*rows, np.repeat(feedback, len(rows[0].T), axis=1)))
+        pool["x"][:, 0], pool["d"][...] = start, disturbance[:, None]
+        self._rollout.run()
+        self._relieve.run()
+        return self.rolled()
 
     def points(self) -> list[Points]:
         """Of the last encoding: control points by axis, the first three of each track the

@@ -18,7 +18,7 @@ import pytest
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
-from headway.controller import mpc
+from headway.controller import program
 from headway.controller._tick import Tick
 from headway.controller.record.channels import CHANNELS
 from headway.controller.record.reader import read_run
@@ -353,7 +353,7 @@ def test_ctrl_c_that_osqp_caught(monkeypatch: pytest.MonkeyPatch) -> None:
                 status=10, iterations=1, residual=0.0, accepted=False, solve_us=0
             )
 
-    monkeypatch.setattr(mpc, "Tick", InterruptedAtLast)
+    monkeypatch.setattr(program, "Tick", InterruptedAtLast)
     assert main(["run", str(ARM2), "--duration", "1000", "--out", "out"]) == 130
     assert json.loads(Path("out/summary.json").read_text())["solver"]["ticks"] == 51
 

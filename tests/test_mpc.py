@@ -12,12 +12,15 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from headway.configs.load import load_config
-from headway.controller import mpc
+from headway.controller import program
 from headway.controller._tick import Answer, Stranger
 from headway.controller.mpc import Mpc, Solution
 from headway.controller.ocp import Limits, Ocp
+from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.program import Program
 from headway.controller.tick import Phase
 from headway.models.codegen import compile_functions
+from headway.models.machine import load_machine
 from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
@@ -62,22 +65,22 @@ class Problem:
 
 
 @cache
-def problems(backend: str) -> list[Problem]:
+def problems(backend: str, *more: str) -> list[Problem]:
     """Of a run with a reference that asks for more torque than there is."""
-    lock = lockstep(f"mpc.backend={backend}", "duration_s=1.5", "task.frequency_Hz=0.6")
+    lock = lockstep(f"mpc.backend={backend}", "duration_s=1.5", "task.frequency_Hz=0.6", *more)
     seen: list[Problem] = []
     controller = lock.loop._mpc
     assert controller is not None
     ocp = Ocp(lock.config, Limits.of(lock.config))
     knots = lock.config.mpc.horizon_us // lock.config.loop.knot_us
-    assemble = mpc.assembly(
-        compile_functions("mpc", ocp.functions(knots)), ocp, dict(controller._pool)
+    assemble = program.assembly(
+        compile_functions("mpc", ocp.functions(knots)), ocp, dict(controller.program.pool)
     )
     solve = controller.solve
 
     def solve_seen(*arguments: Any) -> Solution:
         solution = solve(*arguments)
-        seen.append(Problem(ocp, controller._pool, assemble.run()[0], solution))
+        seen.append(Problem(ocp, controller.program.pool, assemble.run()[0], solution))
         return solution
 
     controller.solve = solve_seen  # type: ignore[method-assign]
@@ -117,6 +120,62 @@ def test_the_residual_is_that_of_the_constraints() -> None:
         value = problem.constraints @ problem.z
         excess = np.maximum(lower - value, value - upper)[: -2 * 26 * 2].max()
         assert (problem.solution.residual > 0.01) <= (excess > 1e-5)
+
+
+@pytest.mark.parametrize("backend", ["osqp", "hpipm"])
+def test_the_kkt_residuals_bound_what_an_answer_costs_too_much(backend: str) -> None:
+    """By convexity, with any multipliers: cost(z) - cost(z*) <= slope of the Lagrangian times
+    (z - z*) + the products of multipliers and distances (Boyd, Vandenberghe, Convex Optimization,
+    section 5.5.1)."""
+    of_scale = Ocp(lockstep().config, Limits.of(lockstep().config)).column_scale
+    for problem in problems(backend)[::30]:
+        exact, solution = problem.exact(), problem.solution
+        excess = problem.cost(problem.z) - problem.cost(exact)
+        slope = solution.stationarity * float(np.abs((problem.z - exact) * of_scale).sum())
+        # Two products for each of HPIPM's boxes, one for each of OSQP's rows.
+        assert excess <= slope + 2 * len(problem.vectors[1]) * solution.complementarity + 1e-6
+
+
+def test_the_kkt_residuals_grow_where_a_solver_stops_early() -> None:
+    early = problems("osqp", "mpc.max_iterations=10")
+    for name in ("stationarity", "complementarity"):
+        late, soon = (
+            float(np.median([getattr(p.solution, name) for p in of]))
+            for of in (problems("osqp"), early)
+        )
+        assert soon > 3 * late
+
+
+# More programs a tick.
+
+
+def test_programs_in_a_row_converge_on_the_motion_itself() -> None:
+    """The plan's torques, put into the machine's equations, give the plan's states: after one
+    program as far as they are linear, after six to the solver's tolerance."""
+
+    def defect(iterations: int) -> float:
+        overrides = [f"mpc.sqp_iterations={iterations}", "mpc.backend=hpipm"]
+        config = load_config(CONFIGS / "arm2.yaml", overrides)
+        machine = load_machine(CONFIGS / config.machine.model)
+        knots, count = config.mpc.horizon_us // config.loop.knot_us, config.mpc.intervals
+        law = ServoLaw.of(config.machine.axes)
+        prediction = Prediction(machine, law, count, knots)
+        solver = Program(config, prediction)
+        n, q = 2, np.array([0.3, 0.2])
+        still = np.repeat(np.concatenate((q, np.zeros(n)))[:, None], count + 1, axis=1)
+        torque = np.repeat(prediction.holding(q, np.zeros(n))[:, None], count + 1, axis=1)
+        solver.prepare(still, torque, np.zeros(n))
+        reference = still + np.array([[0.2], [-0.3], [0], [0]])
+        done = solver.feedback(
+            still[:, 0], np.array([0.3, -0.1]), reference, torque[:, 0], torque[:, 0]
+        )
+        assert done.accepted
+        x, u = solver.answer()
+        solver.prepare(x, u, np.array([0.3, -0.1]))
+        return float(np.abs(solver.pool["after"] - x[:, 1:]).max())
+
+    assert defect(1) > 100 * defect(6)
+    assert defect(6) < 1e-6
 
 
 # Answers that are not to be trusted.
@@ -171,7 +230,7 @@ def run_with(
     solve = Mpc.solve
 
     def build(config: Any, ocp: Ocp, pool: dict[str, Array]) -> Stranger:
-        real, z = mpc._hpipm(ocp, pool), np.zeros(ocp.size)
+        real, z = program._hpipm(ocp, pool), np.zeros(ocp.size)
 
         def respond() -> tuple[Array, Answer]:
             real.update()
@@ -186,7 +245,7 @@ def run_with(
         return solution
 
     with monkeypatch.context() as patch:
-        patch.setattr(mpc, "_osqp", build)
+        patch.setattr(program, "_osqp", build)
         patch.setattr(Mpc, "solve", solve_seen)
         lock = lockstep("duration_s=2")
         lock.run()
@@ -225,6 +284,6 @@ def test_a_guess_that_is_no_motion_is_noticed() -> None:
     lock.run()
     controller = lock.loop._mpc
     assert controller is not None and lock.loop.phase is Phase.RUN
-    assert controller._tick.feedback().accepted
-    controller._pool["a"][1, 5] = np.nan
-    assert not controller._tick.feedback().accepted
+    assert controller.program._tick.feedback().accepted
+    controller.program.pool["a"][1, 5] = np.nan
+    assert not controller.program._tick.feedback().accepted

@@ -133,6 +133,20 @@ _ALL = (
         Field("usable", "bool", "", "the answer passed our checks"),
         Field("iterations", "int", "", ""),
         Field("residual", "double", "", "of the constraints, in parts of what is allowed"),
+        Field(
+            "stationarity",
+            "double",
+            "cost per SI unit",
+            "largest slope of the Lagrangian by a state or torque; NaN: no answer",
+        ),
+        Field(
+            "complementarity",
+            "double",
+            "cost",
+            "largest product of a multiplier and the distance from its limit; NaN: no answer",
+        ),
+        Field("assumed", "double vector", _EFFORT, "disturbance, as known when it was linearized"),
+        Field("committed", "double vector", _EFFORT, "torque that the plan goes on from"),
     ),
     _channel(
         "timing",
@@ -175,6 +189,13 @@ _ALL = (
         Field("torque_tq", "int vector", "tq", "asked of the motor"),
         Field("unclipped_tq", "int vector", "tq", "the same before the torque limit"),
         Field("clock_error_us", "int vector", "us", "the device's clock minus the host's"),
+    ),
+    _channel(
+        "entry",
+        "A way onto the task's reference begins, from where the machine rests",
+        Field("start_s", "double", "s", "its time in the task"),
+        Field("position", "double vector", _SI, "of the axes"),
+        Field("torque", "double vector", _EFFORT, "that holds them there"),
     ),
     _channel(
         "end",

@@ -52,7 +52,16 @@ def _told(_: str, now_us: int, values: tuple[Tick, int, bool]) -> Note:
     solver = None
     if solution is not None:
         solver = (
-            (solution.status, solution.plan is not None, solution.iterations, solution.residual),
+            (
+                solution.status,
+                solution.plan is not None,
+                solution.iterations,
+                solution.residual,
+                solution.stationarity,
+                solution.complementarity,
+                solution.assumed,
+                solution.committed,
+            ),
             (solution.prepare_us, solution.solve_us),
         )
     told = (

@@ -23,6 +23,7 @@ from headway.cli.init import init
 from headway.cli.keys import keys
 from headway.cli.plant import plant
 from headway.cli.play import play
+from headway.cli.qp import qp
 from headway.cli.report import report
 from headway.cli.run import run
 from headway.cli.sweep import sweep
@@ -68,6 +69,7 @@ def make_app() -> App:
     ):
         app.command(command)
     app.command(devices)
+    app.command(qp)
     return app
 
 

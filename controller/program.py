@@ -1,0 +1,173 @@
+"""One tick's quadratic program: its arrays, what fills them in, and a solver.
+
+A tick is two calls of compiled code. `prepare` does all that can be done before the estimate is
+known: the dynamics are linearized along a guess, and the solver factorizes. `feedback` takes the
+estimate in, solves, judges the answer and encodes it (the two phases of the real-time iteration:
+Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from headway.configs.schema import Config
+from headway.controller._tick import Encoding, Feedback, Hpipm, Osqp, Solver, Tick
+from headway.controller.objective import Costs
+from headway.controller.ocp import Limits, Ocp
+from headway.controller.prediction import Prediction
+from headway.models.codegen import Array, Call, compile_functions
+
+OSQP_TOLERANCE = 3e-4  # in scaled units: of 3e-4 mrad, and in parts of what the problem moves by
+HPIPM_TOLERANCE = 1e-4  # in scaled units
+HPIPM_ITERATIONS = 30
+
+
+class Program:
+    """The problem of one tick in arrays that stay where they are; ocp.py says what each is.
+
+    `pool` has them by name: what one function writes others read. `costs`: of the task's own. With
+    `encoding` an answer that is accepted is encoded at once, from the arrays of `encoded`.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        prediction: Prediction,
+        costs: Costs | None = None,
+        encoding: Encoding | None = None,
+        encoded: dict[str, Array] | None = None,
+    ) -> None:
+        ocp, n = Ocp(config, Limits.of(config), costs), prediction.n
+        self.ocp, knots = ocp, config.mpc.horizon_us // config.loop.knot_us
+        self._library = compile_functions("mpc", ocp.functions(knots))
+        x, u = (np.zeros((rows, ocp.intervals + 1), order="F") for rows in (2 * n, n))
+        self.pool = pool = {"x": x, "u": u, "x0": x[:, :-1], "u0": u[:, :-1], "u1": u[:, 1:]}
+        pool["time_s"] = np.zeros((1, ocp.intervals + 1), order="F")
+        if encoded is not None:
+            pool |= {name: encoded[name] for name in ("position", "velocity", "torque")}
+            pool["start"] = encoded["x"]
+        pool["parameters"] = ocp.parameters[:, None]
+        self.linearize = prediction.call("linearize", pool)
+        pool["dt"][...] = ocp.interval_s
+        self._vectors, self._judge = (
+            Call(self._library, name, pool) for name in ("vectors", "judge")
+        )
+        before = [self.linearize.bound]
+        if costs is not None:
+            before.append(Call(self._library, "weigh", pool).bound)
+        if config.mpc.backend == "osqp":  # by stages it is not needed
+            before.append(assembly(self._library, ocp, pool).bound)
+            if costs is not None:
+                before.append(squaring(self._library, ocp, pool).bound)
+            solver = _osqp(config, ocp, pool)
+        else:
+            solver = _hpipm(ocp, pool)
+        answer = self._judge.bound, pool["residual"], encoding
+        guess = (pool[name] for name in ("x", "u", "assumed", "around", "d"))
+        sqp = config.mpc.sqp_iterations, ocp.driven
+        self._tick = Tick(
+            before, solver, self._vectors.bound, pool["z"], *answer, *sqp, ocp.column_scale, *guess
+        )
+
+    def prepare(self, x: Array, u: Array, disturbance: Array, node_s: Array | float = 0.0) -> None:
+        """Linearizes along x (2n, N+1) and u (n, N+1) at the nodes, and factorizes.
+
+        disturbance: (n,), as far as it is known now; node_s: (N+1,) times of the task,
+        for costs of its own.
+        """
+        self.pool["x"][...], self.pool["u"][...], self.pool["time_s"][0] = x, u, node_s
+        self.pool["assumed"][:, 0] = disturbance
+        self._tick.prepare()
+
+    def feedback(
+        self, start: Array, d: Array, reference: Array, committed: Array, holding: Array
+    ) -> Feedback:
+        """Solves for the state (2n,) at the horizon's start, the disturbance d (n,), reference
+        (2n, N+1) at the nodes, and the torques (n,) to begin and to end with."""
+        pool = self.pool
+        pool["start"][:, 0], pool["d"][:, 0], pool["reference"][...] = start, d, reference
+        pool["committed"][:, 0], pool["holding"][:, 0] = committed, holding
+        return self._tick.feedback()
+
+    def constraints(self) -> sp.csc_matrix:
+        """Of the last program, in its scales: rows of lower <= A z <= upper."""
+        entries = assembly(self._library, self.ocp, dict(self.pool)).run()[0]
+        matrix = self.ocp.constraints.copy()
+        matrix.data[:] = entries[:, 0]
+        return matrix
+
+    def cost(self, z: Array) -> float:
+        """Of variables in the scales of the last program, but for a constant."""
+        half = self.ocp.hessian
+        twice = float(z @ (half @ z)) * 2 - float(z**2 @ half.diagonal())
+        return twice / 2 + float(self.pool["gradient"][:, 0] @ z)
+
+    def answer(self) -> tuple[Array, Array]:
+        """Of the last feedback: states (2n, N+1) and torques (n, N+1) at the nodes."""
+        pool, ocp = self.pool, self.ocp
+        step = pool["z"][:, 0] * ocp.column_scale
+        x = pool["x"] + step[ocp.states].reshape(pool["x"].shape, order="F")
+        u = pool["around"].copy()
+        u[ocp.driven] += step[ocp.torques].reshape(len(ocp.driven), -1, order="F")
+        return x, u
+
+
+def assembly(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
+    """The linearized intervals' way into the constraints' entries."""
+    pool["constant"] = ocp.constraints.data[:, None]
+    pool["scale"] = ocp.dynamics_scale.reshape(-1, 1)
+    pool["entries"] = pool["constant"].copy(order="F")
+    return Call(library, "assemble", pool)
+
+
+def squaring(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
+    """The task's own costs' way into the Hessian's entries."""
+    pool["square_constant"] = ocp.hessian.data[:, None]
+    pool["square_scale"] = ocp.hessian_scale[:, None]
+    pool["square_entries"] = pool["square_constant"].copy(order="F")
+    return Call(library, "square", pool)
+
+
+def _osqp(config: Config, ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    _, rows, starts = _by_columns(ocp.hessian)
+    entries = pool["square_entries"][:, 0] if "square_entries" in pool else ocp.hessian.data
+    return Osqp(
+        entries,
+        rows,
+        starts,
+        "square_entries" in pool,
+        pool["gradient"][:, 0],
+        pool["entries"][:, 0],
+        *_by_columns(ocp.constraints)[1:],
+        pool["lower"][:, 0],
+        pool["upper"][:, 0],
+        ocp.column_scale,
+        config.mpc.max_iterations,
+        OSQP_TOLERANCE,
+    )
+
+
+def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    vectors = pool["gradient"], pool["lower"], pool["upper"]
+    scales, hessian, soft = ocp.stages()
+    return Hpipm(
+        ocp.driven,
+        ocp.bounded.tolist(),
+        *(pool["a"], pool["b0"], pool["b1"]),
+        *vectors,
+        *scales,
+        *hessian,
+        pool.get("curvature", np.empty((0, 0))),
+        *soft,
+        HPIPM_ITERATIONS,
+        HPIPM_TOLERANCE,
+    )
+
+
+def _by_columns(matrix: sp.csc_matrix) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Entries, their rows, and where each column begins."""
+    return matrix.data, matrix.indices.astype(np.int64), matrix.indptr.astype(np.int64)
