@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from trees import random_mjcf
 
 from headway.configs.load import load_config
 from headway.controller.equations import COULOMB_SPEED
@@ -23,41 +24,6 @@ ROOT = Path(__file__).resolve().parent.parent
 ARM2 = ROOT / "models" / "arm2" / "arm2.xml"
 
 Array = NDArray[np.float64]
-
-
-def numbers(values: Array) -> str:
-    return " ".join(repr(float(v)) for v in values)
-
-
-def random_mjcf(seed: int) -> str:
-    """A tree of 2 to 6 hinges and slides at random poses, with armature and damping."""
-    rng = np.random.default_rng(seed)
-    count = 2 + seed % 5
-    children: list[list[int]] = [[] for _ in range(count)]
-    for j in range(1, count):
-        children[int(rng.integers(max(0, j - 3), j))].append(j)
-
-    def body(j: int) -> str:
-        kind = "slide" if rng.random() < 0.4 else "hinge"
-        a, b, c = rng.uniform(0.002, 0.02, 3)
-        inertia = np.array([a + b, b + c, c + a])  # any solid body's obeys the triangle inequality
-        return (
-            f'<body name="b{j}" pos="{numbers(rng.uniform(-0.4, 0.4, 3))}" '
-            f'quat="{numbers(rng.normal(size=4))}">'
-            f'<inertial pos="{numbers(rng.uniform(-0.2, 0.2, 3))}" mass="{rng.uniform(0.3, 2)}" '
-            f'quat="{numbers(rng.normal(size=4))}" diaginertia="{numbers(inertia)}"/>'
-            f'<joint name="j{j}" type="{kind}" axis="{numbers(rng.normal(size=3))}" '
-            f'pos="{numbers(rng.uniform(-0.1, 0.1, 3))}" '
-            f'armature="{rng.uniform(0.001, 0.05)}" damping="{rng.uniform(0, 0.5)}"/>'
-            + "".join(body(child) for child in children[j])
-            + "</body>"
-        )
-
-    return (
-        '<mujoco><option gravity="0.3 -0.8 -9.81"/><compiler angle="radian"/><worldbody>'
-        + body(0)
-        + "</worldbody></mujoco>"
-    )
 
 
 def joints_in(model: mujoco.MjModel) -> list[str]:
