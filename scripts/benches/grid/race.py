@@ -1,0 +1,115 @@
+"""Closed loops side by side, tick by tick, so that what disturbs one disturbs all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from grid.reply import Reply
+from grid.world import Problem, World
+from headway.configs.section import by_axis
+from headway.controller.ocp import Limits
+
+Array = NDArray[np.float64]
+
+
+class Contender(Protocol):
+    """Who solves the problem."""
+
+    def prepare(
+        self, x: Array, u: Array, d: Array, reference: Array, committed: Array, holding: Array
+    ) -> None: ...
+    def feedback(self, start: Array) -> Reply: ...
+    def close(self) -> None: ...
+
+
+@dataclass
+class Lane:
+    """A contender in its closed loop."""
+
+    contender: Contender
+    problem: Problem
+    intervals: int
+    knots: int
+    seed: int
+    replies: list[Reply] = field(default_factory=list)
+    costs: list[float] = field(default_factory=list)
+    over: list[Array] = field(default_factory=list)  # of speed and position limits, true state
+    active: int = 0  # ticks whose plan touches a limit
+
+    def __post_init__(self) -> None:
+        config = self.problem.config(self.intervals, self.knots)
+        self.world = World(config, self.problem.machine(), self.seed)
+        self._limits, n, mpc = Limits.of(config), len(self.world.q), config.mpc
+        self._node_s = np.linspace(0, mpc.horizon_us * 1e-6, self.intervals + 1)
+        # The same measure for all grids: that of the shipped one.
+        shipped = self.problem.config(SHIPPED, self.knots).mpc
+        self._weight = np.concatenate(
+            (by_axis(shipped.position_weight, n), by_axis(shipped.velocity_weight, n))
+        )
+        self._step_weight = np.array(by_axis(shipped.torque_step_weight, n))
+        self._steps = self.knots / SHIPPED  # ticks in an interval of it
+        q = self.world.q
+        self._x = np.tile(np.concatenate((q, np.zeros(n)))[:, None], self.intervals + 1)
+        self._u = np.tile(self.world.holding(q)[:, None], self.intervals + 1)
+
+    def tick(self) -> None:
+        """One tick of one contender."""
+        world, n = self.world, len(self.world.q)
+        world.advance_tasks()
+        reference = world.wanted(self._node_s)
+        holding = world.holding(self._x[:n, -1]) - world.d
+        committed = self._u[:, 0].copy()
+        self.contender.prepare(self._x, self._u, world.d, reference, committed, holding)
+        state = world.measured()
+        reply = self.contender.feedback(state)
+        self.replies.append(reply)
+        self._judge(reply, reference[:, 0], committed)
+        self._shift(reply)
+        world.move(state, reply.u[:, 0], self._u[:, 0])
+        world.observe(world.measured())
+
+    def _shift(self, reply: Reply) -> None:
+        """The plan a tick on is the next guess."""
+        n, at = len(self.world.q), np.minimum(self._node_s + self.world.tick_s, self._node_s[-1])
+        spline = CubicHermiteSpline(self._node_s, reply.x[:n], reply.x[n:], axis=1)
+        self._x = np.vstack((spline(at), spline(at, 1)))
+        self._u = np.array([np.interp(at, self._node_s, row) for row in reply.u])
+
+    def _judge(self, reply: Reply, reference: Array, committed: Array) -> None:
+        world, limits, n = self.world, self._limits, len(self.world.q)
+        error = np.concatenate((world.q, world.v)) - reference
+        step = (reply.u[:, 0] - committed) * self._steps
+        self.costs.append(float(error**2 @ self._weight + step**2 @ self._step_weight))
+        x, u, speed = reply.x, reply.u, limits.velocity[:, None]
+        ahead = x[:n] + limits.approach_s[:, None] * x[n:]
+        beyond = np.maximum(ahead - limits.soft_max[:, None], limits.soft_min[:, None] - ahead)
+        change = np.abs(np.diff(x[n:], axis=1)).max(axis=1)
+        most = limits.acceleration * (self._node_s[1] - self._node_s[0])
+        self.over.append(np.array([
+            (np.abs(u) / limits.torque.T).max() - 1,
+            (np.abs(x[n:, 1:]) / speed).max() - 1,
+            (change / most).max() - 1,
+            beyond[:, 1:].max(),
+            np.abs(x[n:, -2:]).max(),
+        ]))  # fmt: skip
+        self.active += bool(
+            (np.abs(u) > 0.999 * limits.torque.T).any()
+            or (np.abs(x[n:, 1:]) > 0.999 * speed).any()
+            or (beyond[:, 1:] > -1e-4).any()
+        )
+
+
+SHIPPED = 24  # intervals of the shipped configs, nearly: 8.192 ms each
+
+
+def race(lanes: dict[str, Lane], ticks: int) -> None:
+    """All lanes, each tick another one first."""
+    names = list(lanes)
+    for tick in range(ticks):
+        for i in range(len(names)):
+            lanes[names[(tick + i) % len(names)]].tick()
