@@ -350,8 +350,9 @@ def test_ctrl_c_that_osqp_caught(monkeypatch: pytest.MonkeyPatch) -> None:
             if next(self._solved) < 50:
                 return self._tick.feedback()
             return SimpleNamespace(
-                status=10, iterations=1, residual=0.0, accepted=False, solve_us=0
-            )
+                status=10, iterations=1, residual=0.0, stationarity=0.0, complementarity=0.0,
+                accepted=False, solve_us=0,
+            )  # fmt: skip
 
     monkeypatch.setattr(program, "Tick", InterruptedAtLast)
     assert main(["run", str(ARM2), "--duration", "1000", "--out", "out"]) == 130

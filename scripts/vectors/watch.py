@@ -346,11 +346,23 @@ def _together(rng: Random) -> Iterator[str]:
             yield _step(**seen, **on)
 
 
+def _at_once() -> Iterator[str]:
+    """Of several breaches in a period the one that is found first, unless a later one is looked for
+    as well."""
+    for sign, end in ((1, 2_000_001), (-1, -1_000_001)):
+        yield from _anew(following_periods=0)  # outside, and driven outwards by its feedback
+        behind = {"position_pq": end, "error_pq": -sign * 6000, "feedback_tq": -sign * 100}
+        yield _step(count_step=sign * 20, times=20)
+        yield _step(count_step=sign * 20, **behind)
+        yield from _anew(speed_pq=8000)  # outside, and too fast
+        yield _step(count=sign * 100, position_pq=end)
+
+
 def monitors(rng: Random) -> Iterator[str]:
     """Each limit, a number at a time; then together."""
     yield line("monitor-usual", **SETTINGS)
     yield line("monitor-quiet", **QUIET)
-    for family in (_counts, _stuck, _supply, _late, _heat, _room, _inside, _motion):
+    for family in (_counts, _stuck, _supply, _late, _heat, _room, _inside, _motion, _at_once):
         yield f"# {family.__name__.strip('_')}"
         yield from family()
     yield "# together"
