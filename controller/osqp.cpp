@@ -1,5 +1,7 @@
 #include "osqp.hpp"
 
+#include <signal.h>
+
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -51,11 +53,26 @@ void Osqp::forget() {
     osqp_update_rho(solver_.get(), OSQP_RHO);
 }
 
+// While it solves OSQP has a handler for Ctrl-C of its own, which prints, and which forgets one that
+// comes after its last look. Held back, it reaches the handler that is there afterwards; unless
+// another thread takes it: then the status tells.
+static bool fails(OSQPSolver *solver) {
+    sigset_t interrupt, before;
+    sigemptyset(&interrupt);
+    sigaddset(&interrupt, SIGINT);
+    pthread_sigmask(SIG_BLOCK, &interrupt, &before);
+    bool failed = osqp_solve(solver);
+    pthread_sigmask(SIG_SETMASK, &before, nullptr);
+    return failed;
+}
+
 Answer Osqp::solve(double *z) {
     OSQPSolver *s = solver_.get();
     if (osqp_update_data_vec(s, gradient_.data(), lower_.data(), upper_.data()) ||
-        osqp_warm_start(s, idle_.data(), nullptr) || osqp_solve(s))
+        osqp_warm_start(s, idle_.data(), nullptr))
         return {};
+    if (fails(s))
+        return {(int)s->info->status_val};
     std::copy_n(s->solution->x, idle_.size(), z);
     OSQPInt status = s->info->status_val;
     bool good = status == OSQP_SOLVED || status == OSQP_SOLVED_INACCURATE ||

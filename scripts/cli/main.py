@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import signal
 import sys
 import tempfile
@@ -76,6 +77,8 @@ def make_app() -> App:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command with `arguments` (default: those of the process); returns its exit code."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    # Our matrices are small; and a thread of its own would take a Ctrl-C from the main one.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `headway run ... | head` just ends
     try:
         return int(make_app()(arguments, exit_on_error=False) or ExitCode.DONE)
