@@ -168,7 +168,9 @@ class Ocp:
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
         self.row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
         self.hessian_scale = self._by_entry(self.hessian, self.column_scale)
-        self.hessian.data *= self.hessian_scale
+        of_column = np.repeat(np.arange(self.size), np.diff(self.hessian.indptr))
+        self.hessian.data *= self.column_scale[self.hessian.indices]
+        self.hessian.data *= self.column_scale[of_column]
         entry_scale = self._by_entry(self.constraints, self.row_scale)
         self.constraints.data *= entry_scale
         self.dynamics_scale = entry_scale[self._dynamics_place]

@@ -390,7 +390,13 @@ def test_a_config_from_init_is_complete() -> None:
     assert main(["init", str(MODELS["scara"])]) == 0
     tree = YAML(typ="safe").load(Path("scara.yaml").read_text())
     scalars = {"enabled", "feedforward", "fade_start", "fade_end", "torque_share_end", "backend"}
-    scalars |= {"max_iterations", "disturbance", "measurement_noise_counts", "gate_sigma"}
+    scalars |= {
+        "max_iterations",
+        "sqp_iterations",
+        "disturbance",
+        "measurement_noise_counts",
+        "gate_sigma",
+    }
     for section in ("mpc", "estimator"):
         known = set(Config.model_fields[section].annotation.model_fields)
         assert known - scalars == set(tree[section])
