@@ -41,25 +41,40 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     set_constant();
 }
 
+// Q: what is constant, and what the task's own costs add to it.
+void Hpipm::set_states() {
+    int x = 2 * p_.axes, w = (int)p_.driven.size(), count = p_.intervals, nx = x + w;
+    const double *scale = p_.column_scale.data(), *state = p_.state.data();
+    const double *torque = p_.torque.data(), *step = p_.step.data();
+    const double *curved = p_.curvature.size() ? p_.curvature.data() : nullptr;
+    double *m = buffer_.data();
+    for (int i = 1; i <= count; ++i) {
+        std::fill_n(m, nx * nx, 0.0);
+        for (int c = 0; c < x; ++c) {
+            for (int r = 0; curved && r < x; ++r)
+                m[c * nx + r] = curved[(i * x + c) * x + r] * scale[c] * scale[r];
+            m[c * (nx + 1)] += state[i * x + c];
+        }
+        for (int j = 0; j < w; ++j)
+            m[(x + j) * (nx + 1)] = torque[i * w + j] + (i < count ? step[i * w + j] : 0);
+        d_ocp_qp_set_Q(i, m, &qp_);
+    }
+}
+
 void Hpipm::set_constant() {
     int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
-    const double *state = p_.state.data(), *torque = p_.torque.data(), *step = p_.step.data();
+    const double *torque = p_.torque.data(), *step = p_.step.data();
     double *m = buffer_.data();
+    set_states();
     std::vector<int> boxes;
     for (int axis : p_.driven)
         boxes.push_back(n + axis); // of [q; v; u]
     for (int j = 0; j < w; ++j)
         boxes.push_back(2 * n + j);
     for (int i = 0; i <= count; ++i) {
-        int nx = i ? 2 * n + w : 0, nu = i == 0 ? 2 * w : i < count ? w : 0;
+        int nu = i == 0 ? 2 * w : i < count ? w : 0;
         std::fill_n(m, 9 * n * n, 0.0);
         if (i) {
-            for (int j = 0; j < 2 * n; ++j)
-                m[j * nx + j] = state[i * 2 * n + j];
-            for (int j = 0; j < w; ++j)
-                m[(2 * n + j) * (nx + 1)] = torque[i * w + j] + (i < count ? step[i * w + j] : 0);
-            d_ocp_qp_set_Q(i, m, &qp_);
-            std::fill_n(m, 9 * n * n, 0.0);
             if (i < count) {
                 for (int j = 0; j < w; ++j)
                     m[j * (nu + 1)] = step[i * w + j];
@@ -94,26 +109,6 @@ void Hpipm::set_constant() {
             d_ocp_qp_set_Zl(i, weight.data(), &qp_);
             d_ocp_qp_set_Zu(i, weight.data(), &qp_);
         }
-    }
-}
-
-// What the task's own costs add to Q.
-void Hpipm::set_curvature() {
-    int x = 2 * p_.axes, w = (int)p_.driven.size(), count = p_.intervals, nx = x + w;
-    const double *scale = p_.column_scale.data(), *state = p_.state.data();
-    const double *torque = p_.torque.data(), *step = p_.step.data();
-    double *m = buffer_.data();
-    for (int i = 1; i <= count; ++i) {
-        const double *curvature = p_.curvature.data() + i * x * x;
-        std::fill_n(m, nx * nx, 0.0);
-        for (int c = 0; c < x; ++c) {
-            for (int r = 0; r < x; ++r)
-                m[c * nx + r] = curvature[c * x + r] * scale[c] * scale[r];
-            m[c * (nx + 1)] += state[i * x + c];
-        }
-        for (int j = 0; j < w; ++j)
-            m[(x + j) * (nx + 1)] = torque[i * w + j] + (i < count ? step[i * w + j] : 0);
-        d_ocp_qp_set_Q(i, m, &qp_);
     }
 }
 
@@ -181,7 +176,7 @@ bool Hpipm::update() {
         d_ocp_qp_set_C(count, m, &qp_);
     }
     if (p_.curvature.size())
-        set_curvature();
+        set_states();
     return true;
 }
 

@@ -41,7 +41,7 @@ class Hpipm : public Solver {
 
   private:
     void set_constant();
-    void set_curvature();
+    void set_states();
     void set_vectors();
     void measure(Answer &answer) const;
 

@@ -38,8 +38,6 @@ from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
 
-BORNE_SHARE = 0.7  # of the effort limit: the most that a plan counts on of a disturbance
-
 
 def plan_points(config: Config) -> int:
     """Points of the longest plan that a tick may send, see Loop._join."""
@@ -106,9 +104,6 @@ class Loop:
         self._prepared: int | None = None  # commit knot of the problem that is ready
         self._wanted = np.empty((0, 0))  # the reference at that problem's nodes, see _wanted_from
         self._disturbance = np.zeros(self._prediction.n)  # as last estimated, and planned for
-        # No plan ends at rest under more than the motor can hold; and what pushes at a passive axis
-        # now would in a plan speed it up until the end.
-        self._borne = BORNE_SHARE * law.limit
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
         self.phase = Phase.HELLO
@@ -176,9 +171,8 @@ class Loop:
         began = time.perf_counter()
         tick.now, tick.commit = self._estimate(tick.now_us, knot)
         tick.estimate_us = (time.perf_counter() - began) * 1e6
-        self._disturbance = np.clip(
-            tick.commit.z[2 * self._prediction.n :], -self._borne, self._borne
-        )
+        law, n = self._prediction.law, self._prediction.n
+        self._disturbance = law.borne(tick.commit.z[2 * n :])
         self._check_devices(tick)
         if any(remote.silent(tick.now_us) for remote in self._remotes):
             return Outbox()  # nobody gets a new plan: all coast to rest together

@@ -51,6 +51,21 @@ class Symbols:
         self.parameters: dict[str, tuple[Any, float]] = {}
         self.kept_below: list[Term] = []
 
+    @property
+    def x(self) -> Any:
+        """[q, v] (2n, 1)."""
+        return ca.vertcat(self.q, self.v)
+
+    @property
+    def numbers(self) -> Any:
+        """The parameters that were asked for (p, 1)."""
+        return ca.vertcat(*(symbol for symbol, _ in self.parameters.values()), ca.SX(0, 1))
+
+    @property
+    def values(self) -> Array:
+        """What they are (p,)."""
+        return np.array([value for _, value in self.parameters.values()])
+
     def parameter(self, name: str, default: float) -> Any:
         """A number that task.parameters may give another value, without compiling anew."""
         if name not in self.parameters:
@@ -126,19 +141,17 @@ def read_costs(
 
 
 def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
-    x = ca.vertcat(symbols.q, symbols.v)
+    x = symbols.x
     curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
     for residual, weight in terms:
         by_state = ca.jacobian(residual, x)
         curvature += 2 * weight * by_state.T @ by_state
         slope += 2 * weight * by_state.T @ residual
-    values = [value for _, value in symbols.parameters.values()]
     inputs = {
-        "x": x, "time_s": symbols.time_s, "share": symbols.share,
-        "costs": ca.vertcat(*(symbol for symbol, _ in symbols.parameters.values()), ca.SX(0, 1)),
+        "x": x, "time_s": symbols.time_s, "share": symbols.share, "costs": symbols.numbers,
     }  # fmt: skip
     outputs = {"curvature": curvature, "slope": slope}
-    return Costs(named_function("costs", inputs, outputs), np.array(values))
+    return Costs(named_function("costs", inputs, outputs), symbols.values)
 
 
 def _run(source: Path, text: str, symbols: Symbols) -> Any:
@@ -196,24 +209,21 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
             f"{name} has a residual of {residual.shape[0]} by {residual.shape[1]} and a weight of "
             f"{weight.shape[0]} by {weight.shape[1]}: make it a column and a number",
         )
-    numbers = ca.vertcat(*(symbol for symbol, _ in symbols.parameters.values()), ca.SX(0, 1))
-    x = ca.vertcat(symbols.q, symbols.v)
-    inputs = [x, symbols.time_s, symbols.share, numbers]
+    x = symbols.x
     if ca.depends_on(weight, x):
         raise _wrong(
             source, line, f"{name} has a weight that depends on q or v: only residuals may"
         )
-    outputs = [residual, weight, ca.jacobian(residual, x)]
-    function = ca.Function("term", inputs, outputs)
+    inputs = [x, symbols.time_s, symbols.share, symbols.numbers]
+    function = ca.Function("term", inputs, [residual, weight, ca.jacobian(residual, x)])
     rough = {ROUGH[op] for op in _operations(function) if op in ROUGH}
     if rough:
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
         raise _wrong(source, line, words)
     rng, n = np.random.default_rng(0), symbols.q.numel()
-    values = [value for _, value in symbols.parameters.values()]
     for trial in range(TRIALS):
         state = np.zeros(2 * n) if trial == 0 else rng.uniform(-np.pi, np.pi, 2 * n)
-        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+        found = function(state, rng.uniform(0, 10), rng.uniform(), symbols.values)
         if not all(np.isfinite(np.array(part)).all() for part in found):
             at = ", ".join(f"{value:.4g}" for value in state)
             words = f"{name} is not a number, or has no slope, at [q, v] = [{at}]"

@@ -167,19 +167,19 @@ class Ocp:
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
         self.row_scale[self._soft_row :] = np.tile(soft[self.bounded], 2 * self.intervals)
-        self.hessian_scale = self._by_entry(self.hessian, self.column_scale)
-        of_column = np.repeat(np.arange(self.size), np.diff(self.hessian.indptr))
-        self.hessian.data *= self.column_scale[self.hessian.indices]
-        self.hessian.data *= self.column_scale[of_column]
-        entry_scale = self._by_entry(self.constraints, self.row_scale)
+        rows, columns = self._by_entry(self.hessian, self.column_scale)
+        self.hessian_scale = rows * columns
+        self.hessian.data *= rows
+        self.hessian.data *= columns
+        rows, columns = self._by_entry(self.constraints, self.row_scale)
+        entry_scale = rows * columns
         self.constraints.data *= entry_scale
         self.dynamics_scale = entry_scale[self._dynamics_place]
 
-    def _by_entry(self, matrix: sp.csc_matrix, row_scale: Array) -> Array:
-        """What each entry is multiplied by."""
+    def _by_entry(self, matrix: sp.csc_matrix, row_scale: Array) -> tuple[Array, Array]:
+        """The scales of each entry's row and column."""
         of_column = np.repeat(np.arange(self.size), np.diff(matrix.indptr))
-        scale: Array = row_scale[matrix.indices] * self.column_scale[of_column]
-        return scale
+        return row_scale[matrix.indices], self.column_scale[of_column]
 
     def _build_hessian(self) -> sp.csc_matrix:
         """Its upper half; with costs of the task's own, with room for what they add each tick."""

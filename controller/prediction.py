@@ -16,6 +16,8 @@ from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
 
+BORNE_SHARE = 0.7  # of the effort limit
+
 
 @dataclass(frozen=True)
 class ServoLaw:
@@ -42,6 +44,13 @@ class ServoLaw:
     def driven(self) -> list[int]:
         """Indices of the axes with a motor."""
         return np.flatnonzero(self.limit > 0).tolist()
+
+    def borne(self, disturbance: Array) -> Array:
+        """What a plan counts on of an estimated disturbance (n,): no plan ends at rest under more
+        than the motor can hold, and what pushes at a passive axis now would in a plan speed it up
+        until the end."""
+        most = BORNE_SHARE * self.limit
+        return np.clip(disturbance, -most, most)
 
     @property
     def parameters(self) -> Array:

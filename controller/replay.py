@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.controller.gains import Gains
-from headway.controller.loop import BORNE_SHARE, plan_points
+from headway.controller.loop import plan_points
 from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.reader import Run
@@ -99,7 +99,7 @@ class Replay:
         estimate = arrays["commit_estimate"][tick]
         motion = self._guess(tick)
         nodes = slice(None, None, self._horizon // self.config.mpc.intervals)
-        d = self._borne(estimate)
+        d = self.prediction.law.borne(estimate[2 * n :])
         gravity = self.prediction.holding(motion.position[-1], np.zeros(n))
         return Given(
             x=np.hstack((motion.position[nodes], motion.velocity[nodes])).T,
@@ -137,13 +137,8 @@ class Replay:
         estimate = arrays["commit_estimate"][tick]
         first = int(arrays["commit_us"][tick]) // self._knot_us - 1
         points = [self._points(tick, axis, first, estimate[axis]) for axis in range(n)]
-        return self._encoder.roll(points, estimate[: 2 * n], self._borne(estimate))
-
-    def _borne(self, estimate: Array) -> Array:
-        """The disturbance that plans count on (n,)."""
-        most = BORNE_SHARE * self.prediction.law.limit
-        disturbance: Array = np.clip(estimate[2 * self._n :], -most, most)
-        return disturbance
+        d = self.prediction.law.borne(estimate[2 * n :])
+        return self._encoder.roll(points, estimate[: 2 * n], d)
 
     def _points(self, tick: int, axis: int, first: int, near: float) -> dict[int, Array]:
         """That a tick's plan has of an axis, from knot `first` on, without bounds: from its frame,

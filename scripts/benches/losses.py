@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import arguments, finish, goal, table
+from _runs import each
 from numpy.typing import NDArray
 
 from headway.cli.simulation import Simulation
@@ -159,28 +159,23 @@ def main() -> int:
     ]
     phases = np.linspace(1.0, 3.2, 100 if options.long else 12)
     rows = []
-    with ProcessPoolExecutor(2) as pool:
-        results = []
-        for done, result in enumerate(pool.map(run, jobs), 1):
-            results.append(result)
-            print(f"\r{done} of {len(jobs)} runs", end="", file=sys.stderr, flush=True)
-        print(file=sys.stderr)
-        for i, (margin, (name, _, _)) in enumerate(grid):
-            mine = results[i * seeds : (i + 1) * seeds]
-            knots = sum(r["knots"] for r in mine)
-            rms = np.median([r["rms"] for r in mine], axis=0)
-            rows.append({
-                "margin knots": margin, "loss, each way": name, "knots": knots,
-                "mixed knots": sum(r["mixed"] for r in mine),
-                "mixed %": 100 * sum(r["mixed"] for r in mine) / knots,
-                "error of a mixed point, mrad": max(r["path_mrad"] for r in mine),
-                "rms q1 mrad": rms[0], "rms q2 mrad": rms[1],
-                "late plans": sum(r["late"] for r in mine),
-            })  # fmt: skip
-        stops = {
-            loss: list(pool.map(stop, [(loss, seed, at_s) for seed, at_s in enumerate(phases)]))
-            for loss in (0.0, 0.01)
-        }
+    results = each(run, jobs)
+    for i, (margin, (name, _, _)) in enumerate(grid):
+        mine = results[i * seeds : (i + 1) * seeds]
+        knots = sum(r["knots"] for r in mine)
+        rms = np.median([r["rms"] for r in mine], axis=0)
+        rows.append({
+            "margin knots": margin, "loss, each way": name, "knots": knots,
+            "mixed knots": sum(r["mixed"] for r in mine),
+            "mixed %": 100 * sum(r["mixed"] for r in mine) / knots,
+            "error of a mixed point, mrad": max(r["path_mrad"] for r in mine),
+            "rms q1 mrad": rms[0], "rms q2 mrad": rms[1],
+            "late plans": sum(r["late"] for r in mine),
+        })  # fmt: skip
+    stops = {
+        loss: each(stop, [(loss, seed, at_s) for seed, at_s in enumerate(phases)], "stops")
+        for loss in (0.0, 0.01)
+    }
     table("lost frames, arm2 as shipped", rows)
     without, with_loss = max(stops[0.0]), max(stops[0.01])
     table("the host is killed: the tool's largest distance from the planned stop", [

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from sysconfig import get_path
 from typing import Any
 
 import numpy as np
 from _report import arguments, finish, goal, table
+from _runs import each
 
 from headway.cli.guess.first import first_config
 from headway.cli.simulation import Simulation
@@ -77,12 +77,7 @@ def main() -> int:
             path.write_text(random_mjcf(seed, SIZES))
             jobs.append((f"random tree {seed}", str(path)))
         jobs += robots() if options.long else []
-        rows = []
-        with ProcessPoolExecutor(2) as pool:
-            for done, row in enumerate(pool.map(run, jobs), 1):
-                rows.append(row)
-                print(f"\r{done} of {len(jobs)} machines", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        rows = each(run, jobs, "machines")
     table("to a position in five seconds", [
         {
             "machine": row["name"], "axes": row["axes"], "rests": str(row.get("rests", False)),

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import arguments, finish, goal, table
+from _runs import each, run_through
 
-from headway.cli.simulation import MemoryRecord
 from headway.configs.load import load_config
-from headway.controller.tick import DeviceError
-from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 STILL = 0.1  # rad/s: an axis that is slower from here on has come to rest but for its swinging out
@@ -61,13 +58,7 @@ def run(job: tuple[str, int]) -> dict[str, Any]:
     config = load_config(
         CONFIGS / "arm2.yaml", [*changes, f"seed={seed}", f"duration_s={at + AFTER_S}"]
     )
-    record, said = MemoryRecord(), ""
-    lockstep = Lockstep(config, CONFIGS, record)
-    try:
-        lockstep.run()
-    except DeviceError as error:
-        said = str(error)
-    arrays = record.arrays()
+    lockstep, arrays, said = run_through(config, CONFIGS)
     after = arrays["truth_s"] >= at
     time_s = arrays["truth_s"][after] - at
     position, velocity = arrays["truth_position"][after], arrays["truth_velocity"][after]
@@ -95,12 +86,7 @@ def main() -> int:
     options = arguments(__doc__ or "")
     seeds = 200 if options.long else 4
     jobs = [(name, seed) for name in MISHAPS for seed in range(seeds)]
-    results: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(2) as pool:
-        for done, result in enumerate(pool.map(run, jobs), 1):
-            results.append(result)
-            print(f"\r{done} of {len(jobs)} runs", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    results = each(run, jobs)
     rows, goals = [], []
     for i, (name, (_, bound_s)) in enumerate(MISHAPS.items()):
         mine = results[i * seeds : (i + 1) * seeds]

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import arguments, finish, goal, table
+from _runs import each, run_through
 
-from headway.cli.simulation import MemoryRecord
 from headway.configs.load import load_config
-from headway.controller.tick import DeviceError
-from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 UP_RAD = 0.1  # from upright: it is up
@@ -43,13 +39,7 @@ def run(job: tuple[str, int, float]) -> dict[str, Any]:
             f"sim.start_rad_or_m={start}",
         ],
     )  # fmt: skip
-    record, said = MemoryRecord(), ""
-    lockstep = Lockstep(config, CONFIGS, record)
-    try:
-        lockstep.run()
-    except DeviceError as error:
-        said = str(error)
-    arrays = record.arrays()
+    _, arrays, said = run_through(config, CONFIGS)
     task = (arrays["truth_s"] >= 0) & (arrays["truth_s"] <= duration_s)
     time_s, position = arrays["truth_s"][task], arrays["truth_position"][task]
     off = np.abs((position[:, 1] + np.pi) % (2 * np.pi) - np.pi)
@@ -76,12 +66,7 @@ def main() -> int:
     options = arguments(__doc__ or "")
     seeds, duration_s = (50, 60.0) if options.long else (2, 20.0)
     jobs = [(name, seed, duration_s) for name in PUSH_NM for seed in range(seeds)]
-    results: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(min(2, len(os.sched_getaffinity(0)))) as pool:
-        for done, result in enumerate(pool.map(run, jobs), 1):
-            results.append(result)
-            print(f"\r{done} of {len(jobs)} runs", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    results = each(run, jobs)
     rows, goals = [], []
     for i, name in enumerate(PUSH_NM):
         mine = results[i * seeds : (i + 1) * seeds]
