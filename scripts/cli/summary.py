@@ -156,7 +156,8 @@ def _estimate(driver: Driver, arrays: Arrays) -> dict[str, Any]:
         true_state = np.hstack((truth(time_s), rate(time_s)))
         error = arrays[f"{which}_estimate"][:, : 2 * n] - true_state
         error[:, :n] -= whole_turns(axes, error[:, :n])
-        rms[f"rms_{which}"] = _rms(error[judged(arrays["now_s"], arrays)])
+        ticks_s = arrays["now_s"][: len(error)]  # a writer that was killed may lack the last one's
+        rms[f"rms_{which}"] = _rms(error[: len(ticks_s)][judged(ticks_s, arrays)])
     return {**rms, "nis_mean": _nis(driver)}
 
 
@@ -185,7 +186,7 @@ def _torque(config: Config, arrays: Arrays) -> dict[str, Any]:
     tq_per_effort = _tq_per_effort(config)
     applied = arrays["servo_torque_tq"] / tq_per_effort
     unclipped = arrays["servo_unclipped_tq"] / tq_per_effort
-    in_task = applied[judged(arrays["truth_s"], arrays)]
+    in_task = applied[judged(arrays["servo_s"], arrays)]
     return {
         "max_abs": _max(applied),
         "max_unclipped": _max(unclipped),
