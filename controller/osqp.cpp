@@ -54,8 +54,8 @@ void Osqp::forget() {
 }
 
 // While it solves OSQP has a handler for Ctrl-C of its own, which prints, and which forgets one that
-// comes after its last look. Held back, it reaches the handler that is there afterwards; unless
-// another thread takes it: then the status tells.
+// comes after its last look. Held back, as in all other threads (devices/interrupts.py), it reaches
+// the handler that is there afterwards.
 static bool fails(OSQPSolver *solver) {
     sigset_t interrupt, before;
     sigemptyset(&interrupt);

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Thread
 
+from headway.devices import interrupts
 from headway.devices.port import Port, PortError
 
 QUEUE_PACKETS = 4096  # read and not yet taken: a second of a machine of many axes
@@ -27,7 +28,8 @@ class PortLink:
         self._over = False
         self._wake = os.eventfd(0)
         self._thread = Thread(target=self._read, name="link", daemon=True)
-        self._thread.start()
+        with interrupts.held_back():
+            self._thread.start()
 
     def receive(self, now_us: int) -> list[tuple[int, int, bytes]]:
         """(device, received_us, packet) of all that arrived up to `now_us`."""

@@ -20,6 +20,7 @@ from headway.controller.record.reader import Run, read_run
 from headway.controller.record.recorder import Recorder
 from headway.controller.record.ring import Ring
 from headway.controller.record.target import About
+from headway.devices import interrupts
 
 CAPACITY_BYTES = 4 << 20  # of the ring: some five seconds of a two-axis machine at 244 Hz
 QUEUE_BATCHES = 1000  # on their way to the ring: some four seconds of ticks
@@ -58,7 +59,8 @@ class Recording(Recorder):
         self._queue: deque[list[Note]] = deque()
         self._dropped, self._over = 0, False
         self._thread = Thread(target=self._pump, name="recording", daemon=True)
-        self._thread.start()
+        with interrupts.held_back():
+            self._thread.start()
 
     def publish(self) -> None:
         if len(self._queue) < QUEUE_BATCHES:

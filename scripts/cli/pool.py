@@ -5,12 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.connection
 import os
-import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any, TypeVar
+
+from headway.devices import interrupts
 
 T = TypeVar("T")
 
@@ -50,11 +51,7 @@ def each(
 ) -> Iterator[tuple[int, Future[Any]]]:
     """Calls `function` with each argument; gives the argument's index and what came of it, in the
     order in which they are done."""
-    blocked = {signal.SIGINT}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)  # processes that start inherit it
-    try:
+    with interrupts.held_back():
         futures = {executor.submit(function, argument): i for i, argument in enumerate(arguments)}
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     for future in as_completed(futures):
         yield futures[future], future

@@ -7,6 +7,8 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from headway.devices import interrupts
+
 PATIENCE_S = 2.0  # whatever is over sooner needs no bar
 SECONDS = "{task.completed:.1f} of {task.total:.1f} s,"
 COUNT = "{task.completed:.0f} of {task.total:.0f} runs,"
@@ -42,6 +44,7 @@ class Bar:
     def update(self, done: float) -> None:
         """Tells how much is done, of the total."""
         if not self._shown and time.monotonic() - self._began_s > PATIENCE_S:
-            self._progress.start()
+            with interrupts.held_back():
+                self._progress.start()
             self._shown = True
         self._progress.update(self._task, completed=max(0.0, done))
