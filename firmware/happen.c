@@ -21,9 +21,19 @@ static void flush(struct device *device) {
         device->tracks[sink].written = false;
 }
 
+// What carries the axis besides the holding torque and the integral: without an integral it has
+// sagged until its error pulled as much as it weighs. It rests where it is now, with that pull.
+static int32_t pull(const struct device *device, enum device_state from) {
+    bool rests = (from == DEVICE_ARMED || from == DEVICE_HOLD) && device->home.task == TASK_NONE;
+    return rests ? fixed_clamp(fixed_scale(device->servo.error_pq, device->settings.servo.kp_tq),
+                               device->settings.servo.torque_limit_tq)
+                 : 0;
+}
+
 // From the motion as the next servo period measures it, whatever was asked for before.
-static void begin_ramp(struct device *device) {
-    device->hold_tq = last_torque(device);
+static void begin_ramp(struct device *device, enum device_state from) {
+    device->hold_tq = fixed_clamp(last_torque(device) + pull(device, from),
+                                  device->settings.servo.torque_limit_tq);
     device->hold_pq = device->position_pq;
     device->ramp.begun = device->ramp.resting = false;
     device->servo.primed = false; // the error jumps: no kick by its difference
@@ -73,7 +83,7 @@ bool happen(struct device *device, enum device_event event) {
             fold_integral(device);
         break;
     case DEVICE_TAIL:
-        begin_ramp(device);
+        begin_ramp(device, from);
         break;
     case DEVICE_HOLD:
         rest_where_it_is(device, from);
@@ -81,7 +91,7 @@ bool happen(struct device *device, enum device_event event) {
     case DEVICE_FAULT:
     case DEVICE_ESTOP:
         if (follows(from) && from != DEVICE_TAIL) // else nothing moves, or the ramp is under way
-            begin_ramp(device);
+            begin_ramp(device, from);
         break;
     default:
         break;

@@ -222,6 +222,29 @@ def test_hold_integrates_what_the_plan_did_not_know() -> None:
     assert axis.v == pytest.approx(0, abs=0.05)
 
 
+@pytest.mark.parametrize("resumes", [False, True])
+def test_an_axis_that_sagged_does_not_sag_again_with_each_stop(resumes: bool) -> None:
+    """Without an integrator an unknown load takes it below its setpoint. A stop makes a setpoint
+    of that place: what the error pulled with there becomes holding torque."""
+    rig, axis = cart_rig()
+    rig.sync()
+    drive(rig, axis, 0.1, 1.0)
+    rig.run_until(S.HOLD)
+    axis.load = -1.0
+    rig.run(500_000)
+    sagged = axis.q
+    assert rig.node.setpoint(0)[0] / PQ - sagged > 0.01
+    for _ in range(4):
+        if resumes:
+            rig.arm()
+            rig.run(50_000)
+        assert rig.ask("STOP") == "DONE"
+        rig.run_until(S.HOLD)
+        rig.run(500_000)
+        assert axis.q == pytest.approx(sagged, abs=2e-3)
+    assert rig.node.status.holding_tq == pytest.approx(1.0 * TQ, abs=0.1 * TQ)
+
+
 def leaves_in_order(rows: list[tuple[float, ...]]) -> int:
     """Index of the first period with the brake on; the power goes off once it has engaged."""
     on = next(i for i, row in enumerate(rows) if row[4])
