@@ -31,6 +31,12 @@ class Machine(Section):
     encoder alone.
     """
 
+    coupling: list[list[Finite]] | None = None
+    """Where motors are not at the joints (belts, differentials): a row for each axis, with what
+    each joint's position counts in its own. Without it each axis is its joint. Positions, limits
+    and efforts of axes are the motors'.
+    """
+
     @property
     def driven(self) -> dict[int, DrivenAxis]:
         """The axes with a motor, by their index."""
@@ -40,6 +46,9 @@ class Machine(Section):
     def _moves(self) -> Machine:
         if not self.driven:
             raise ValueError("every axis is passive: nothing can move the machine")
+        n = len(self.axes)
+        if self.coupling and [len(row) for row in self.coupling] != [n] * n:
+            raise ValueError(f"coupling needs {n} rows of {n} numbers: one for each axis and joint")
         return self
 
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
@@ -52,8 +51,7 @@ class Schedule:
     def __init__(self, machine: Machine, law: ServoLaw, low: Array, high: Array) -> None:
         """`low` and `high` (n,): the range in which the largest inertias are looked for."""
         self._machine, self._law = machine, law
-        self._data = machine.model.createData()
-        mass = self._mass(postures(low, high))
+        mass = machine.mass(postures(low, high))
         self.crossover = _crossover(law, mass.diagonal(axis1=1, axis2=2).max(axis=0))  # [rad/s]
         self._order: list[int] = np.argsort(self.crossover, kind="stable").tolist()
         share, self._inertia_max = np.empty(mass.shape[:2]), np.empty(len(low))
@@ -64,20 +62,11 @@ class Schedule:
 
     def __call__(self, position: Array) -> Array:
         """Shares (m, n), above 0 and at most 1, at positions (m, n)."""
-        mass, share = self._mass(position), np.empty(position.shape)
+        mass, share = self._machine.mass(position), np.empty(position.shape)
         for at, joint in enumerate(self._order):
             share[:, joint] = self._inertia(mass, share, at) / self._inertia_max[joint]
             np.minimum(share[:, joint], 1.0, out=share[:, joint])  # the largest is of a sample
         return share
-
-    def _mass(self, position: Array) -> Array:
-        """Mass matrices (m, n, n)."""
-        model, data = self._machine.model, self._data
-        mass = np.empty((*position.shape, model.nv))
-        for matrix, q in zip(mass, position, strict=True):
-            matrix[...] = pin.crba(model, data, q)  # the upper half
-        half: Array = np.triu(mass)
-        return half + np.triu(mass, 1).swapaxes(1, 2)
 
     def _inertia(self, mass: Array, share: Array, at: int) -> Array:
         """What the loop number `at` from the slowest on meets at its crossover (m,) [kg m^2 or kg],

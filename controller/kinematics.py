@@ -1,4 +1,4 @@
-"""From places of the tool to positions of the joints."""
+"""From places of the tool to positions of the axes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REACHED_M = 1e-4
 def postures(
     machine: Machine, tool: str, places: Array, start: Array, low: Array, high: Array
 ) -> Array:
-    """Positions of the joints (m, n) [rad or m] between `low` and `high` (n,), at which a body's or
+    """Positions of the axes (m, n) [rad or m] between `low` and `high` (n,), at which a body's or
     a site's origin is at `places` (m, 3) [m]: each the one near the last, from `start` (n,) on.
 
     Least squares in the tool's place and, with little weight, the way from the last posture (damped
@@ -33,14 +33,15 @@ def postures(
     for row, place in enumerate(places):
 
         def residual(q: Array, place: Array = place, near: Array = near) -> Array:
-            pin.forwardKinematics(model, data, q)
+            pin.forwardKinematics(model, data, machine.coupling.joints(q))
             at = pin.updateFramePlacement(model, data, frame).translation
             return np.concatenate((at - place, NEARNESS * (q - near)))
 
         def slope(q: Array) -> Array:
-            pin.computeJointJacobians(model, data, q)
+            pin.computeJointJacobians(model, data, machine.coupling.joints(q))
             pin.updateFramePlacement(model, data, frame)
             moved = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            moved = moved @ machine.coupling.joints_by_axes
             return np.vstack((moved, NEARNESS * np.eye(len(q))))
 
         inside = np.clip(near, low + 1e-9, high - 1e-9)

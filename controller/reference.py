@@ -63,7 +63,7 @@ def _of_tool(config: Config, folder: Path, file: str, tool: str) -> Stamped:
     """Of the joints, from places of a tool. The first posture is the one near the machine's own at
     power-up, if that is given, else near the middle of its range."""
     path, axes = (folder / file).resolve(), config.machine.axes
-    machine = load_machine((folder / config.machine.model).resolve())
+    machine = load_machine((folder / config.machine.model).resolve(), config.machine.coupling)
     machine.require_axes(tuple(axis.joint for axis in axes))
     time_s, places = read_stamped(path, ["x_m", "y_m", "z_m"])
     low, high = np.array([(axis.lowest, axis.highest) for axis in axes]).T

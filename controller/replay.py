@@ -65,7 +65,7 @@ class Replay:
             )
         if not len(run.arrays["entry_us"]):
             raise ReplayError("the record has no entry onto the task: it is too old, or too short")
-        machine = load_machine(Path(config.machine.model))
+        machine = load_machine(Path(config.machine.model), config.machine.coupling)
         axes, self._knot_us = config.machine.axes, config.loop.knot_us
         self._horizon = config.mpc.horizon_us // self._knot_us
         self._units = [AxisUnits.of(axis, config.loop) for axis in axes]

@@ -14,6 +14,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
+from headway.models.coupling import Coupling
+
 
 def _skew(p: Any) -> Any:
     return ca.vertcat(
@@ -38,10 +40,12 @@ def _cross_force(v: Any) -> Any:
 class Tree:
     """A fixed-base tree of revolute and prismatic joints, as numbers for the recursions.
 
-    Raises ValueError for a joint with more than one degree of freedom.
+    All functions of this module are of the axes that move its joints (see coupling.py): q, v, a and
+    torques are theirs. Raises ValueError for a joint with more than one degree of freedom.
     """
 
-    def __init__(self, model: pin.Model) -> None:
+    def __init__(self, model: pin.Model, coupling: Coupling | None = None) -> None:
+        """`coupling`: None for a motor at each joint."""
         self.count = model.njoints - 1
         if model.nq != self.count or model.nv != self.count:
             many = [
@@ -64,6 +68,9 @@ class Tree:
         self.mass = [float(model.inertias[j + 1].mass) for j in range(self.count)]
         self.lever = [np.array(model.inertias[j + 1].lever) for j in range(self.count)]
         self.gravity = np.array(model.gravity.vector)
+        coupling = coupling or Coupling.of(None, self.count)
+        self.axes_by_joints = ca.sparsify(ca.DM(coupling.axes_by_joints))
+        self.joints_by_axes = ca.sparsify(ca.DM(coupling.joints_by_axes))
 
     def placed(self, joint: int, q: Any) -> tuple[Any, Any]:
         """Rotation (3, 3) and origin (3, 1) of joint `joint`'s frame in its parent's, at coordinate
@@ -82,6 +89,7 @@ class Tree:
     def poses(self, q: Any) -> list[tuple[Any, Any]]:
         """Rotation and origin of every joint's frame in the world."""
         poses: list[tuple[Any, Any]] = []
+        q = self.joints_by_axes @ q
         for joint, parent in enumerate(self.parent):
             rotation, origin = self.placed(joint, q[joint])
             if parent >= 0:
@@ -92,7 +100,8 @@ class Tree:
 
 
 def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
-    """Joint torques [Nm or N] that give accelerations `a`: RNEA with armature and damping."""
+    """Torques [Nm or N] that give accelerations `a`: RNEA with armature and damping."""
+    q, v, a = (tree.joints_by_axes @ value for value in (q, v, a))
     transforms: list[Any] = []
     velocity: list[Any] = []
     force: list[Any] = []
@@ -113,7 +122,7 @@ def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any) -> Any:
         tau[j] += tree.armature[j] * a[j] + tree.damping[j] * v[j]
         if tree.parent[j] >= 0:
             force[tree.parent[j]] += transforms[j].T @ force[j]
-    return ca.vertcat(*tau)
+    return tree.joints_by_axes.T @ ca.vertcat(*tau)
 
 
 def kinetic_energy(tree: Tree, q: Any, v: Any) -> Any:
@@ -133,8 +142,10 @@ def potential_energy(tree: Tree, q: Any) -> Any:
 
 
 def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:
-    """Joint accelerations under joint torques `tau`: ABA with armature and damping."""
+    """Accelerations under torques `tau`: ABA with armature and damping."""
     n = tree.count
+    q, v = tree.joints_by_axes @ q, tree.joints_by_axes @ v
+    tau = tree.axes_by_joints.T @ tau
     transforms: list[Any] = []
     velocity: list[Any] = []
     bias_acceleration: list[Any] = []
@@ -173,11 +184,11 @@ def forward_dynamics(tree: Tree, q: Any, v: Any, tau: Any) -> Any:
         a = transforms[j] @ a_parent + bias_acceleration[j]
         result.append((torque[j] - ca.dot(force[j], a)) / diagonal[j])
         acceleration.append(a + ca.SX(tree.axis[j]) * result[j])
-    return ca.vertcat(*result)
+    return tree.axes_by_joints @ ca.vertcat(*result)
 
 
 def forward_derivatives(tree: Tree, q: Any, v: Any, tau: Any) -> tuple[Any, Any, Any]:
-    """Joint accelerations (n,) under joint torques `tau`, their Jacobian in [q, v] (n, 2n) and the
+    """Accelerations (n,) under torques `tau`, their Jacobian in [q, v] (n, 2n) and the
     inverse mass matrix (n, n), which is their Jacobian in tau.
 
     By the implicit function theorem on inverse dynamics ID(q, v, a) = tau, which is a third of the

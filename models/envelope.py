@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
@@ -58,20 +57,13 @@ def postures(low: Array, high: Array) -> Array:
 
 def envelope(machine: Machine, low: Array, high: Array) -> Envelope:
     """Over the range (n,) to (n,), as `postures` samples it."""
-    model = machine.model
-    data = model.createData()
-    upper, holding, stiffness = [], [], []
-    for q in postures(low, high):
-        upper.append(np.array(pin.crba(model, data, q)))
-        holding.append(np.abs(pin.computeGeneralizedGravity(model, data, q)))
-        stiffness.append(np.array(pin.computeGeneralizedGravityDerivatives(model, data, q)))
-    half = np.triu(upper)
-    matrices = half + np.triu(half, 1).swapaxes(1, 2)
-    mobility = np.linalg.inv(matrices)
+    at = postures(low, high)
+    matrices = machine.mass(at)
+    mobility = np.linalg.inv(matrices).astype(float)
     return Envelope(
         np.diagonal(matrices, axis1=1, axis2=2).max(axis=0),
         (1 / np.diagonal(mobility, axis1=1, axis2=2)).min(axis=0),
-        np.max(holding, axis=0),
+        np.abs(machine.holding(at)).max(axis=0),
         mobility,
-        np.array(stiffness),
+        machine.holding_slope(at),
     )

@@ -100,7 +100,7 @@ class Siege:
         self._tap = Wiretap(n)
         self._clock = PlantClock(self.world)
         self.record = Memory()
-        machine = load_machine(self.world.model)
+        machine = load_machine(self.world.model, config.machine.coupling)
         loop = Loop(config, machine, self.world.remotes, self.world.reference, self.record)
         self.live = Live(config, loop, self.world.remotes, self, self.record, self)
         self._errors: list[np.ndarray] = []

@@ -14,9 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from headway.configs.axis import Axis
 from headway.configs.schema import Machine
+from headway.models.coupling import Coupling
 from headway.models.source import read_spec
 from headway.models.stated import PLUGIN
 from headway.sim.plugin import load_plugin
@@ -61,10 +63,12 @@ def driven_model(
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0 errs with a sparse one
         spec.nuser_actuator = 6
         spec.activate_plugin(PLUGIN)
-        for axis in missing:
-            joint = bare.joint(axis.joint)
+        coupling = Coupling.of(machine.coupling, len(machine.axes))
+        for axis, row in zip(machine.axes, coupling.axes_by_joints, strict=True):
             spec.joint(axis.joint).actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-            _add_board(spec, axis, float(bare.dof_invweight0[joint.dofadr[0]]))
+            pulls = {a.joint: float(c) for a, c in zip(machine.axes, row, strict=True) if c}
+            if axis in missing:
+                _add_board(spec, axis, pulls, _mobility(bare, pulls))
         model = spec.compile()
         for first, second in _touching(model, machine, start):
             spec.add_exclude(bodyname1=first, bodyname2=second)
@@ -90,11 +94,27 @@ def _step_us(servo_period_us: int) -> int:
     )
 
 
-def _add_board(spec: mujoco.MjSpec, axis: Axis, mobility: float) -> None:
-    """`mobility`: acceleration per effort of the joint, in the model's own pose."""
+def _mobility(bare: mujoco.MjModel, pulls: dict[str, float]) -> float:
+    """Acceleration per effort of an axis that pulls at joints, in the model's own pose."""
+    data, pull, moved = mujoco.MjData(bare), np.zeros((1, bare.nv)), np.zeros((1, bare.nv))
+    for joint, share in pulls.items():
+        pull[0, bare.joint(joint).dofadr] = share
+    mujoco.mj_forward(bare, data)
+    mujoco.mj_solveM(bare, data, moved, pull)
+    return float((moved @ pull.T).item())
+
+
+def _add_board(spec: mujoco.MjSpec, axis: Axis, pulls: dict[str, float], mobility: float) -> None:
+    """At the axis' joint or, where it pulls at others or in another measure, at a tendon of its
+    name."""
+    on_joint = pulls == {axis.joint: 1.0}
+    if not on_joint:
+        tendon = spec.add_tendon(name=axis.joint)
+        for joint, share in pulls.items():
+            tendon.wrap_joint(joint, share)
     actuator = spec.add_actuator(
         name=f"board of {axis.joint}",
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT if on_joint else mujoco.mjtTrn.mjTRN_TENDON,
         target=axis.joint,
         userdata=[axis.counts_per_unit, *_motor(axis, spec.option.timestep * mobility)],
     )
@@ -124,7 +144,8 @@ def _touching(
 ) -> set[tuple[str, str]]:
     """Pairs of bodies that touch where the task starts."""
     data = mujoco.MjData(model)
-    for axis, position in zip(machine.axes, start, strict=True):
+    joints = Coupling.of(machine.coupling, len(start)).joints(np.array(start))
+    for axis, position in zip(machine.axes, joints, strict=True):
         data.joint(axis.joint).qpos[0] = position
     mujoco.mj_forward(model, data)
     geoms = [sorted(model.geom_bodyid[list(contact.geom)].tolist()) for contact in data.contact]

@@ -44,7 +44,7 @@ class Lockstep:
         self.remotes, self.reference = world.remotes, world.reference
         self._outlier_rng = world.outliers
         self.record = record or Memory()
-        machine = load_machine(world.model)
+        machine = load_machine(world.model, config.machine.coupling)
         self.loop = Loop(config, machine, self.remotes, self.reference, self.record)
         self.ticks = self.deadline_misses = 0
         self.stopping = False  # set it to end the run early: the last plan brings all to rest

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from headway.configs.schema import Config, Machine
 from headway.configs.schema import Plant as PlantConfig
 from headway.controller.reference import Reference
+from headway.models.coupling import Coupling
 from headway.sim import _board
 from headway.sim.drives import driven_model
 
@@ -56,10 +57,11 @@ class Plant:
         self.step_us = round(self.model.opt.timestep * 1e6)
         self.nodes: list[_board.Node] = []
         self._qpos, self._dof, self._actuator = [], [], []
-        on_joint = {int(joint): a for a, joint in enumerate(self.model.actuator_trnid[:, 0])}
+        self._coupling = Coupling.of(machine.coupling, len(machine.axes))
+        boards = {name: a for a, name in enumerate(map(self._driven, range(self.model.nu)))}
         for axis in machine.axes:
             joint = self.model.joint(axis.joint).id
-            actuator = on_joint[joint]
+            actuator = boards[axis.joint]
             window = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
             numbers = self.data.plugin_state[window : window + _board.NODE_NUMBERS]
             self.nodes.append(_board.Node(numbers))
@@ -67,6 +69,12 @@ class Plant:
             self._dof.append(self.model.jnt_dofadr[joint])
             self._actuator.append(actuator)
         self.position = np.array(start)
+
+    def _driven(self, actuator: int) -> str:
+        """The name of an actuator's joint or tendon."""
+        target = int(self.model.actuator_trnid[actuator, 0])
+        on_joint = self.model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+        return str((self.model.joint(target) if on_joint else self.model.tendon(target)).name)
 
     def _vary(self, machine: Machine, config: PlantConfig) -> None:
         model = self.model
@@ -78,10 +86,12 @@ class Plant:
             model.body_inertia[index] *= factor
         model.dof_damping[:] *= config.viscous_scale
         for axis, coulomb in zip(machine.axes, config.coulomb_Nm_or_N or [], strict=False):
-            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, axis.joint)
-            if joint >= 0:
-                model.dof_frictionloss[model.jnt_dofadr[joint]] = coulomb
-        model.dof_solimp[:, :2] = STICKING
+            tendon = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, axis.joint)
+            if tendon >= 0:
+                model.tendon_frictionloss[tendon] = coulomb
+            else:
+                model.dof_frictionloss[model.joint(axis.joint).dofadr] = coulomb
+        model.dof_solimp[:, :2] = model.tendon_solimp_fri[:, :2] = STICKING
         if model.nuser_actuator > TORQUE_CONSTANT:
             model.actuator_user[:, TORQUE_CONSTANT] *= config.motor_constant_scale
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -93,21 +103,21 @@ class Plant:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """True joint positions [rad or m], by axis."""
-        return self.data.qpos[self._qpos]  # type: ignore[no-any-return]
+        """True positions of the axes [rad or m]."""
+        return self._coupling.axes(self.data.qpos[self._qpos])
 
     @position.setter
     def position(self, value: NDArray[np.float64]) -> None:
-        self.data.qpos[self._qpos] = value
+        self.data.qpos[self._qpos] = self._coupling.joints(value)
 
     @property
     def velocity(self) -> NDArray[np.float64]:
-        """True joint velocities [rad/s or m/s], by axis."""
-        return self.data.qvel[self._dof]  # type: ignore[no-any-return]
+        """True velocities of the axes [rad/s or m/s]."""
+        return self._coupling.axes(self.data.qvel[self._dof])
 
     @property
     def torque(self) -> NDArray[np.float64]:
-        """Torque (or force) of motor and brake at the joint [Nm or N], by axis."""
+        """Torque (or force) of motor and brake [Nm or N], by axis."""
         return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
 
     def set_bridge(self, capacitance_F: float) -> None:
@@ -116,8 +126,8 @@ class Plant:
             node.capacitance_F = capacitance_F
 
     def push(self, axis: int, effort: float) -> None:
-        """From now on the joint is pushed at by so much more [Nm or N]."""
-        self.data.qfrc_applied[self._dof[axis]] += effort
+        """From now on the axis is pushed at by so much more [Nm or N]."""
+        self.data.qfrc_applied[self._dof] += effort * self._coupling.axes_by_joints[axis]
 
     def step(self, count: int) -> None:
         """Advances plant, servos and devices by `count` physics steps. Raises UnstableError."""

@@ -42,11 +42,31 @@ static int state_size(const mjModel *m, int instance) {
     return (int)((sizeof(struct node) + sizeof(mjtNum) - 1) / sizeof(mjtNum));
 }
 
+static bool on_fixed_tendon(const mjModel *m, int id) {
+    int tendon = m->actuator_trnid[2 * id];
+    return m->actuator_trntype[id] == mjTRN_TENDON &&
+           m->wrap_type[m->tendon_adr[tendon]] == mjWRAP_JOINT;
+}
+
+// Of the axis: a joint's, or what a fixed tendon makes of several. Computed here, as the lengths that
+// MuJoCo keeps are of the step's beginning.
+static mjtNum along(const mjModel *m, int id, const mjtNum *joints, const int *places) {
+    int target = m->actuator_trnid[2 * id];
+    if (m->actuator_trntype[id] == mjTRN_JOINT)
+        return joints[places[target]];
+    mjtNum sum = 0;
+    for (int i = 0; i < m->tendon_num[target]; i++) {
+        int wrap = m->tendon_adr[target] + i;
+        sum += m->wrap_prm[wrap] * joints[places[m->wrap_objid[wrap]]];
+    }
+    return sum;
+}
+
 static int check(const mjModel *m, mjData *d, int instance) {
     (void)d;
     int id = actuator_of(m, instance);
-    if (id < 0 || m->actuator_trntype[id] != mjTRN_JOINT) {
-        mju_warning("headway.servo: the plugin drives an actuator on a joint");
+    if (id < 0 || !(m->actuator_trntype[id] == mjTRN_JOINT || on_fixed_tendon(m, id))) {
+        mju_warning("headway.servo: the plugin drives an actuator on a joint or a fixed tendon");
         return -1;
     }
     if (m->nuser_actuator < MOTOR_COUNT) {
@@ -85,10 +105,11 @@ static mjtNum brake_force(struct board *board, mjtNum strength, mjtNum position,
 
 static void compute(const mjModel *m, mjData *d, int instance, int capability) {
     (void)capability;
-    int id = actuator_of(m, instance), joint = m->actuator_trnid[2 * id];
+    int id = actuator_of(m, instance);
     const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
     struct board *board = &node_of(m, d, instance)->board;
-    mjtNum position = d->qpos[m->jnt_qposadr[joint]], velocity = d->qvel[m->jnt_dofadr[joint]];
+    mjtNum position = along(m, id, d->qpos, m->jnt_qposadr);
+    mjtNum velocity = along(m, id, d->qvel, m->jnt_dofadr);
     mjtNum force = brake_force(board, motor[BRAKE], position, velocity);
     board->current_A = 0;
     if (board->power) {
@@ -118,10 +139,10 @@ static void charge(struct board *board, mjtNum dt) {
 }
 
 static void advance(const mjModel *m, mjData *d, int instance) {
-    int id = actuator_of(m, instance), joint = m->actuator_trnid[2 * id];
+    int id = actuator_of(m, instance);
     const mjtNum *motor = m->actuator_user + id * m->nuser_actuator;
     struct node *node = node_of(m, d, instance);
-    mjtNum count = floor(d->qpos[m->jnt_qposadr[joint]] * motor[COUNTS_PER_UNIT] + 0.5);
+    mjtNum count = floor(along(m, id, d->qpos, m->jnt_qposadr) * motor[COUNTS_PER_UNIT] + 0.5);
     // Modulo 2^32, as an encoder's counter has it. Up to 2^53 counts can be told apart.
     count = mju_clip(count, -9e15, 9e15);
     board_set_encoder(&node->board, (int32_t)(uint32_t)(uint64_t)(int64_t)count);

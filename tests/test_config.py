@@ -450,7 +450,8 @@ UNITS = re.compile(
     r"|m|m_per_s|m_per_s2|N|N_per_m|N_per_m_s|N_s_per_m|rad_per_m|Nm_or_N|rad_or_m"
     r"|rad_or_m_per_s15|Nm_or_N_per_s05|A|F|ppm|counts|sigma|scale|share|share_end|weight)$"
 )
-PURE_NUMBERS = {"parameters", "sqp_iterations", 
+PURE_NUMBERS = {
+    "parameters", "sqp_iterations", "coupling",
     "seed", "gear", "counts_per_turn", "counts_per_m", "sample_every", "harmonic", "intervals",
     "max_iterations", "fade_start", "fade_end", "loss", "loss_run", "reorder",
     "duplicate", "tail",

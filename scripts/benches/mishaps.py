@@ -67,7 +67,7 @@ def decay_s(config: Config) -> float:
     servos' linear loops, in the worst posture."""
     axes = config.machine.axes
     law, n = ServoLaw.of(axes), len(axes)
-    machine = load_machine((CONFIGS / config.machine.model).resolve())
+    machine = load_machine((CONFIGS / config.machine.model).resolve(), config.machine.coupling)
     model = machine.model
     for body, factor in config.sim.plant.mass_scale.items():
         joint = model.frames[model.getBodyId(body)].parentJoint

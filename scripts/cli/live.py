@@ -36,7 +36,9 @@ def live(
     with linked.machine(path, config, changes, folder / PLANT_NAME) as reached:
         remotes = reached.remotes()
         try:
-            machine = load_machine((path.parent / config.machine.model).resolve())
+            machine = load_machine(
+                (path.parent / config.machine.model).resolve(), config.machine.coupling
+            )
             task = task_reference(config, path.parent)
             loop = Loop(config, machine, remotes, task, record)
         except ValueError as error:

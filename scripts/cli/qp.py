@@ -162,7 +162,7 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
     from headway.controller.program import Program
     from headway.models.machine import load_machine
 
-    machine = load_machine(Path(config.machine.model))
+    machine = load_machine(Path(config.machine.model), config.machine.coupling)
     knots = config.mpc.horizon_us // config.loop.knot_us
     law = ServoLaw.of(config.machine.axes)
     prediction = Prediction(machine, law, config.mpc.intervals, knots)

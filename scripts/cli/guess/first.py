@@ -48,7 +48,7 @@ def _standing_still(model: Path, target: Path) -> Draft:
     axes: list[AxisGuess] = axes_of(stated(model, machine.joints))
     low, high = np.array([axis.poses for axis in axes]).T
     reach = envelope(machine, low, high)
-    damping = dampings(reach, np.array(machine.model.damping))
+    damping = dampings(reach, machine.damping)
     stiffness = stiffnesses(reach, damping)
     period_s = Device().servo_period_us * 1e-6
     for i, axis in enumerate(axes):

@@ -14,6 +14,7 @@ from PIL import Image
 
 from headway.cli.page.scene import Picture, Scene
 from headway.controller.record.reader import Run
+from headway.models.coupling import Coupling
 
 Array = NDArray[np.float64]
 
@@ -105,12 +106,13 @@ class Motion:
 
     def __init__(self, run: Run, other: Run | None) -> None:
         """Both must have recorded something of the task."""
-        self._time_s, self._pose = run.arrays["truth_s"], run.arrays["truth_position"]
+        self._time_s, self._pose = run.arrays["truth_s"], _joints(run, "truth_position")
         if other is None:
-            self._ghost_s, self._ghost = self._time_s, run.arrays["truth_reference"]
+            self._ghost_s, self._ghost = self._time_s, _joints(run, "truth_reference")
             self._ghost_span_s = 0.0, float(run.arrays["tick_s"][-1])
         else:
-            self._ghost_s, self._ghost = other.arrays["truth_s"], other.arrays["truth_position"]
+            self._ghost_s = other.arrays["truth_s"]
+            self._ghost = _joints(other, "truth_position")
             self._ghost_span_s = float(self._ghost_s[0]), float(self._ghost_s[-1])
 
     @property
@@ -139,11 +141,17 @@ def _at(time_s: float, times_s: Array, rows: Array) -> Array:
     return row
 
 
+def _joints(run: Run, positions: str) -> Array:
+    """Of the joints (m, n), where the record has the axes'."""
+    rows = run.arrays[positions]
+    return Coupling.of(run.config().machine.coupling, rows.shape[1]).joints(rows)
+
+
 def scene_of(run: Run) -> Scene:
     """The machine of a run, ready to be drawn. Raises NoPicture."""
     machine = run.config().machine
     joints = [axis.joint for axis in machine.axes]
-    return Scene(Path(machine.model), joints, run.arrays["truth_position"])
+    return Scene(Path(machine.model), joints, _joints(run, "truth_position"))
 
 
 def animate(run: Run, other: Run | None, progress: Progress) -> Animation:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from headway.configs.axis import Axis, DrivenAxis
@@ -45,7 +44,7 @@ class Subject:
     def __init__(self, config: Config, path: Path, folder: Path | None = None) -> None:
         """`path`: of the model file; `folder`: where a task's file is looked for."""
         self.config = config
-        self.machine: Machine = load_machine(path)
+        self.machine: Machine = load_machine(path, config.machine.coupling)
         self.axes: list[Axis] = config.machine.axes
         self.driven: dict[int, DrivenAxis] = config.machine.driven
         names = tuple(axis.joint for axis in self.axes)
@@ -70,11 +69,9 @@ class Subject:
 
     def effort(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Of the motors along a motion (m, n), with damping and known Coulomb friction."""
-        model, data = self.machine.model, self.machine.model.createData()
-        rows = zip(position, velocity, acceleration, strict=True)
-        torque = np.array([pin.rnea(model, data, q, v, a) for q, v, a in rows])
         coulomb = np.array([axis.coulomb for axis in self.axes])
-        total: Array = torque + model.damping * velocity + coulomb * np.sign(velocity)
+        needed = self.machine.efforts(position, velocity, acceleration)
+        total: Array = needed + coulomb * np.sign(velocity)
         return total
 
     @cached_property
@@ -90,7 +87,7 @@ class Subject:
         """Pairs of bodies that touch along positions (m, n), with the first row where they do."""
         model, met = self.plant, dict[str, int]()
         data = mujoco.MjData(model)
-        for row, position in enumerate(positions):
+        for row, position in enumerate(self.machine.coupling.joints(positions)):
             for axis, q in zip(self.axes, position, strict=True):
                 data.joint(axis.joint).qpos[0] = q
             mujoco.mj_kinematics(model, data)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from headway.cli.rules.rule import Rule, Status, at_least, at_most
 from headway.cli.rules.subject import Subject
 from headway.controller.equations import COULOMB_SPEED
@@ -63,9 +61,8 @@ def _stiffness(subject: Subject) -> Rule:
     """What the prediction steps through stays stable: the machine with its servos in steps of a
     knot, without them in steps of an interval."""
     config, axes = subject.config, subject.axes
-    own = np.array(subject.machine.model.damping)
     law = ServoLaw.of(axes)
-    own += law.coulomb / COULOMB_SPEED
+    own = subject.machine.damping + law.coulomb / COULOMB_SPEED
     servos = law.kd + law.emf
     steps = []
     for damping, step_us in (
