@@ -494,7 +494,7 @@ class Observation:
     power: bool
     driven: bool
     bounded: bool
-    seeks_stop: bool
+    may_stand: bool
     def __init__(self) -> None: ...
 
 class Monitor:

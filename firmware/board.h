@@ -59,8 +59,11 @@ int32_t board_receive(struct board *board, uint8_t *bytes, int32_t capacity, int
                       uint32_t *count_us);
 void board_send(struct board *board, int32_t port, const uint8_t *bytes, int32_t size);
 
-// Non-volatile memory. `board_load` returns the size, 0 if nothing was saved. A save that the power
-// cuts short may leave anything in its own record, and changes no other.
+// Memory that outlives a reset and, but for faults, the supply. Settings and boots are saved while
+// nothing moves, and may take their time. Faults are saved in the period that finds them, maybe in
+// motion: into RAM that a reset leaves alone, say, which the board may copy to flash once the power is
+// off. `board_load` returns the size, 0 if nothing was saved. A save that is cut short may leave
+// anything in its own record, and changes no other.
 int32_t board_load(const struct board *board, enum board_record record, uint8_t *bytes,
                    int32_t capacity);
 void board_save(struct board *board, enum board_record record, const uint8_t *bytes, int32_t size);

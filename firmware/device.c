@@ -87,7 +87,8 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
         .power = device->power,
         .driven = device->power && device->trusted,
         .bounded = device->status.homed && device->state != DEVICE_HOLD, // which rests anyhow
-        .seeks_stop = device->home.task == TASK_HOME && device->settings.home.method == HOME_STOP,
+        .may_stand = device->brake ||
+                     (device->home.task == TASK_HOME && device->settings.home.method == HOME_STOP),
     };
     struct breach breach = monitor_step(&device->settings.monitor, &device->monitor, &seen);
     if (breach.reason != REASON_NONE)

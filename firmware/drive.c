@@ -219,7 +219,7 @@ void drive(struct device *device, struct board *board, const struct instant *now
     board_set_power(board, device->power);
     guard_assert(&device->guard, board); // it may have tripped between these lines
     board_set_chopper(board, device->monitor.chopper);
-    if (!device->power && device->faults_unsaved) { // nothing moves: there is time to write
+    if (device->faults_unsaved) { // at once, and after all outputs: a reset may come next
         store_save_faults(board, &device->faults);
         device->faults_unsaved = false;
     }

@@ -758,7 +758,7 @@ static void bind_stops(nb::module_ &m) {
         .def_rw("power", &observation::power)
         .def_rw("driven", &observation::driven)
         .def_rw("bounded", &observation::bounded)
-        .def_rw("seeks_stop", &observation::seeks_stop);
+        .def_rw("may_stand", &observation::may_stand);
     nb::class_<monitor>(m, "Monitor")
         .def("__init__", [](monitor *w) { new (w) monitor{}; })
         .def_ro("chopper", &monitor::chopper)

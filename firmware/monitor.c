@@ -37,14 +37,15 @@ static void watch_count(const struct monitor_settings *settings, struct monitor 
         monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
 }
 
-// Pushed on hard, or led on by its setpoint, an axis moves: an encoder that shows nothing is stuck.
-// What counts is how the push has changed since the last count: at rest a heavy load is held by any
-// torque for as long as it takes, and a homing stop is there to be pushed against.
+// Pushed hard, by whatever asks for it, or led on by its setpoint, an axis moves: an encoder that shows
+// nothing is stuck. What counts is how the torque has changed since the last count: at rest a heavy
+// load is held by any torque for as long as it takes; and a homing stop or a brake is there to stand
+// against.
 static void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
                         const struct observation *seen, bool moved, struct breach *worst) {
-    if (moved || !monitor->begun || seen->seeks_stop) {
+    if (moved || !monitor->begun || seen->may_stand) {
         monitor->still_pq = seen->setpoint_pq;
-        monitor->still_tq = seen->feedback_tq;
+        monitor->still_tq = seen->torque_tq;
         monitor->still_periods = 0;
     }
     monitor->begun = true;
@@ -53,9 +54,7 @@ static void watch_stuck(const struct monitor_settings *settings, struct monitor 
         found(worst, REASON_STUCK, way_pq, settings->stuck_pq);
         return;
     }
-    int32_t push_tq =
-        fixed_clamp(seen->feedback_tq, 1 << 28) - fixed_clamp(monitor->still_tq, 1 << 28);
-    bool pushed = magnitude(push_tq) >= seen->torque_limit_tq / 2;
+    bool pushed = magnitude(seen->torque_tq - monitor->still_tq) >= seen->torque_limit_tq / 2;
     monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
     if (monitor->still_periods > settings->stuck_periods)
         found(worst, REASON_STUCK, (int32_t)monitor->still_periods,

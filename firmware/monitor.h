@@ -25,7 +25,7 @@ struct monitor_settings {
     uint16_t heating_q16;       // share by which the winding's rise nears load^2 in 256 periods
     int32_t rise_q16;       // largest rise of the winding; 65536: at continuous torque, for ever
     int32_t stuck_pq;       // of the setpoint's way without a count
-    uint32_t stuck_periods; // of feedback half the torque ceiling away without a count
+    uint32_t stuck_periods; // of torque half the ceiling away without a count
     int32_t spike_counts;   // in one period
     int32_t supply_min_mV, supply_max_mV, chopper_mV;
     uint32_t late_us; // of a servo period
@@ -44,7 +44,7 @@ struct monitor {
     uint16_t rise_fraction; // ... and what lies below
     bool begun;             // `still_pq` is valid
     int32_t still_pq;       // setpoint when the count last changed
-    int32_t still_tq;       // feedback then
+    int32_t still_tq;       // torque then
     uint32_t still_periods; // pushed on since then without a count
     uint8_t under, over;    // periods of bad supply, in a row
     bool chopper;
@@ -64,7 +64,7 @@ struct observation {
     bool power;       // the bridge is on: else only the encoder is judged
     bool driven;      // the servo follows a setpoint
     bool bounded;     // it is to be kept within its limits
-    bool seeks_stop;  // standing still is what it is there for
+    bool may_stand;   // standing still is what it is there for
 };
 
 // A breach; reason REASON_NONE if there is none.

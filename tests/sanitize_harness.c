@@ -197,7 +197,7 @@ static void monitors(void) {
                 .power = below(8),
                 .driven = below(8),
                 .bounded = below(2),
-                .seeks_stop = below(2),
+                .may_stand = below(2),
             };
             found[monitor_step(&settings, &monitor, &seen).reason]++;
             PROMISE(monitor.overload >= 0 && monitor.rise_q16 >= 0);

@@ -223,17 +223,17 @@ def test_a_moving_encoder_is_not_stuck(steps: list[int]) -> None:
     watch, count = Watch(stuck_pq=300), 0
     for step in steps:
         count += 1 if step > 0 else -1
-        assert watch(count=count, setpoint_pq=step, feedback_tq=LIMIT_TQ) == NONE
+        assert watch(count=count, setpoint_pq=step, torque_tq=LIMIT_TQ) == NONE
 
 
 @given(st.integers(0, 300), signs, st.integers(0, LIMIT_TQ // 2))
 def test_stuck_under_a_growing_push(periods: int, sign: int, carried: int) -> None:
     watch = Watch(stuck_periods=periods)
     half = LIMIT_TQ // 2
-    watch(feedback_tq=sign * carried)
-    watch(feedback_tq=sign * carried)
-    assert watch.first(periods + 3, feedback_tq=sign * (carried + half - 1)) == (0, NONE)
-    found = watch.first(periods + 3, feedback_tq=sign * (carried + half))
+    watch(torque_tq=sign * carried)
+    watch(torque_tq=sign * carried)
+    assert watch.first(periods + 3, torque_tq=sign * (carried + half - 1)) == (0, NONE)
+    found = watch.first(periods + 3, torque_tq=sign * (carried + half))
     assert found == (periods + 1, ("STUCK", periods + 1, periods))
 
 
@@ -243,15 +243,15 @@ def test_a_heavy_load_at_rest_is_not_a_stuck_encoder(load: int) -> None:
     watch = Watch(stuck_periods=10)
     for period in range(200):  # the integrator takes it over, count by count
         share = min(period, 50)
-        assert watch(count=share, feedback_tq=load * share // 50, torque_tq=load) == NONE
+        assert watch(count=share, torque_tq=load) == NONE
 
 
 def test_a_stop_that_is_looked_for_is_not_a_stuck_encoder() -> None:
     watch = Watch(stuck_pq=100, stuck_periods=5)
     for period in range(100):
         push = min(LIMIT_TQ, period << 20)
-        assert watch(setpoint_pq=50 * period, feedback_tq=push, seeks_stop=True) == NONE
-    assert watch(setpoint_pq=50 * 99, feedback_tq=LIMIT_TQ) == NONE
+        assert watch(setpoint_pq=50 * period, torque_tq=push, may_stand=True) == NONE
+    assert watch(setpoint_pq=50 * 99, torque_tq=LIMIT_TQ) == NONE
 
 
 # ---- reversed, and honestly behind
@@ -303,7 +303,7 @@ def test_i2t(seed: int) -> None:
     watch = Watch(overload=allowance, rise_q16=1 << 30)
     exact = int(np.argmax(used > allowance))
     for i, torque in enumerate(torques):
-        reason, value, limit = watch(torque_tq=int(torque), feedback_tq=0)
+        reason, value, limit = watch(torque_tq=int(torque), count=i % 2)
         if i % 5000 == 0:
             assert abs(watch.monitor.overload - used[i]) <= 0.02 * used.max() + 2
         if reason != "NONE":

@@ -25,6 +25,7 @@ from rig import (
 )
 
 from headway.firmware import _core
+from headway.sim import _board
 
 S = State
 PQ = UNITS.pq_per_unit
@@ -485,3 +486,46 @@ def test_a_load_that_hangs_below_its_setpoint_is_not_a_stuck_encoder(off: int) -
     assert rig.ask("RESUME", epoch=rig.epoch) == "DONE"
     rig.run(200_000)
     assert rig.state == S.ARMED, rig.reason
+
+
+def pushed_by_its_torque_track(share: float, stuck: bool) -> tuple[Rig, Axis]:
+    """The position track rests; the torque track does not. Half a second of it."""
+    rig, axis = cart_rig()
+    rig.sync()
+    rig.arm(0)
+    push = [0] * 6 + [round(share * CART.effort_limit * TQ)] * 80
+    assert rig.give(rig.knot + 12, {POSITION: [0] * len(push), TORQUE: push}) == "accepted"
+    if stuck:
+        rig.node.break_encoder(1, rig.now)
+    rig.run(500_000)
+    return rig, axis
+
+
+@pytest.mark.parametrize("share", [0.55, 0.99, -0.99])
+def test_a_stuck_encoder_is_found_by_any_torque(share: float) -> None:
+    """Also by one that the gains know nothing of."""
+    rig, axis = pushed_by_its_torque_track(share, stuck=True)
+    assert rig.state == S.FAULT and rig.reason == "STUCK"
+    assert rig.node.brake and abs(axis.q) < 4.0
+
+
+@pytest.mark.parametrize("torque", [-0.9, 0.9])
+def test_a_load_in_the_brake_is_no_stuck_encoder(torque: float) -> None:
+    """Armed with nearly all of its torque the axis stands in its brake, as it should."""
+    rig, axis = cart_rig(load=-torque * CART.effort_limit)
+    rig.sync()
+    rig.arm(round(torque * CART.effort_limit * TQ))
+    rig.run(400_000)
+    assert rig.state == S.ARMED and rig.node.brake and axis.v == 0
+
+
+def test_why_it_stopped_outlives_a_reset_while_it_holds() -> None:
+    rig, _axis = moving()
+    assert rig.ask("STOP") == "DONE"
+    rig.run_until(S.HOLD)
+    assert rig.node.power
+    rig.node.restart()
+    logs = [rig.node.memory(_board.RECORD_FAULTS_A + place) for place in (0, 1)]
+    faults = [_core.faults_decode(log[4:-4]) for log in logs if log]
+    reasons = {_core.REASONS[f.reason] for log in faults if log for f in log}
+    assert reasons == {"HOST"}

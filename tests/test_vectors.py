@@ -1246,14 +1246,13 @@ class Watcher:
         return None
 
     def stuck(self, s: dict[str, int], moved: bool) -> Found | None:
-        if moved or self.still is None or s["seeks_stop"]:
-            self.still, self.pushed = (s["setpoint_pq"], s["feedback_tq"]), 0
+        if moved or self.still is None or s["may_stand"]:
+            self.still, self.pushed = (s["setpoint_pq"], s["torque_tq"]), 0
         way = wrapped(s["setpoint_pq"] - self.still[0], 32)
         if abs(way) > self.allowed["stuck_pq"]:
             return STUCK, way, self.allowed["stuck_pq"]
-        most = 1 << 28
-        now, then = (max(-most, min(most, t)) for t in (s["feedback_tq"], self.still[1]))
-        self.pushed = self.pushed + 1 if abs(now - then) >= s["torque_limit_tq"] // 2 else 0
+        push = s["torque_tq"] - self.still[1]
+        self.pushed = self.pushed + 1 if abs(push) >= s["torque_limit_tq"] // 2 else 0
         if self.pushed > self.allowed["stuck_periods"]:
             return STUCK, self.pushed, self.allowed["stuck_periods"]
         return None

@@ -229,7 +229,7 @@ static struct monitor monitor;
     X(power)                                                                                       \
     X(driven)                                                                                      \
     X(bounded)                                                                                     \
-    X(seeks_stop)
+    X(may_stand)
 
 static struct monitor_settings usual_settings;
 static struct observation usual, seen;
