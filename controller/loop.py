@@ -63,6 +63,7 @@ class Loop:
         self._recorder = recorder
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
+        self._least_us = config.sync.to_device_least_us  # no frame arrives sooner
         self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
         moved_units = [self._units[axis] for axis in driven]
         self._limits = [
@@ -135,6 +136,7 @@ class Loop:
         """Seals and sends what a tick decided. Returns False for a plan that took too long: then
         only stamps are sent. What can be done for the next tick before its estimate is done."""
         in_time = sent_us < outbox.too_late_us
+        outbox = outbox.arriving_in((sent_us + self._least_us) // self._knot_us)
         points = outbox.points if in_time else None
         packets = []
         plans = {} if points is None else dict(zip(self._driven, points, strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from headway.controller.estimator import Estimate
 from headway.controller.motion import Motion
 from headway.controller.mpc import Solution
+from headway.devices.core import LIVE_KNOTS
 from headway.devices.remote import Points
 
 Array = NDArray[np.float64]
@@ -37,6 +38,17 @@ class Outbox:
     first_knot: int = 0
     points: list[Points] | None = None
     too_late_us: int = 2**62  # from then on its first new point is live
+
+    def arriving_in(self, knot: int) -> Outbox:
+        """Without the points that will have begun by then, at the earliest. They can change nothing
+        any more; and if the frames that set them were lost, the device has others, and would refuse
+        the plan for them."""
+        if self.points is None:
+            return self
+        count = len(next(iter(self.points[0].values())))
+        begun = min(max(knot + LIVE_KNOTS - self.first_knot, 0), count - 3)  # three: its rest
+        points = [{sink: row[begun:] for sink, row in plan.items()} for plan in self.points]
+        return replace(self, first_knot=self.first_knot + begun, points=points)
 
 
 @dataclass

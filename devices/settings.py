@@ -27,6 +27,7 @@ SPEED_SHARE = 1.25  # of a plan's velocity limit, as measured
 WINDING_RISE = 1.1  # of the rated rise of the winding's temperature
 STUCK_COUNTS, STUCK_S = 128, 0.1  # of the setpoint, or pushing hard, without a count
 JOG_SHARE, JOG_RAMP_S = 0.05, 0.2  # of the velocity limit; until that is reached
+JOG_EFFORT_SHARE = 0.25  # of the effort limit, what the feedback may add to what holds the axis
 SLOW_Q16 = 2**30 - 1  # the fastest that a board homes or jogs, in its own quanta
 SYNC_METHODS = ["bounds", "average"]
 SPIKE_MAX = 2**18 - 1  # counts: none is one
@@ -166,7 +167,7 @@ def home_settings(axis: DrivenAxis, device: Device, units: AxisUnits) -> _core.H
     """
     period_s, homing = device.servo_period_us * 1e-6, axis.homing
     per_period_q16 = units.pq_per_unit * period_s * 65536
-    effort, method = axis.effort_limit, "none"
+    effort, method = JOG_EFFORT_SHARE * axis.effort_limit, "none"
     home = _core.HomeSettings()
     if homing is not None:
         effort, method = homing.effort, homing.method

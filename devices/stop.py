@@ -49,6 +49,14 @@ def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int
         return "the device has restarted"
     if reason == "NONE":
         return "the device came to rest and holds: no plan reached it in time"
+    told = words(reason, status.reason_value, status.reason_limit, axis, units, servo_period_us)
+    return f"the device stopped: {told}"
+
+
+def words(
+    reason: str, value: float, limit: float, axis: Axis, units: AxisUnits, servo_period_us: int
+) -> str:
+    """A reason with its two numbers, which are the board's integers."""
     per = {
         "FOLLOWING": units.pq_per_unit,
         "REVERSED": units.pq_per_unit,
@@ -59,9 +67,6 @@ def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int
         "UNDERVOLTAGE": 1e3,
         "OVERVOLTAGE": 1e3,
     }.get(reason)
-    value: float = status.reason_value
-    limit: float = status.reason_limit
     if per is not None:
         value, limit = value / per, limit / per
-    text = _TEXTS[reason].format(value=value, limit=limit, unit=axis.unit)
-    return f"the device stopped: {text}"
+    return _TEXTS[reason].format(value=value, limit=limit, unit=axis.unit)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from processes import CONFIG, Machine
 
+from headway.cli.devices import Room
 from headway.cli.main import main
 from headway.devices.keys import draw_key, key_path
 
@@ -88,3 +89,70 @@ def test_nobody_is_there(
     where = ["--keys", str(machine.folder / "keys"), "--ports", str(tmp_path)]
     assert main(["devices", "list", str(CONFIG), *where]) == 4
     assert "there is no port to ask" in capsys.readouterr().err
+
+
+def position(machine: Machine, capsys: pytest.CaptureFixture[str], axis: int) -> float:
+    place = listed(machine, capsys)[axis]["position"]
+    assert isinstance(place, float)
+    return place
+
+
+def test_an_axis_is_jogged_and_switched_off(
+    machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    q1, q2 = (position(machine, capsys, axis) for axis in (0, 1))
+    for speed in (0.3, -0.3):
+        assert main(words(machine, "jog", "q2", str(speed), "--seconds", "0.5")) == 0
+        moved = position(machine, capsys, 1) - q2
+        assert moved == pytest.approx(0.15 if speed > 0 else 0.0, abs=0.08)
+        assert listed(machine, capsys)[1]["state"] in ("UNSYNCED", "IDLE")
+    assert position(machine, capsys, 0) == pytest.approx(q1, abs=0.02)
+    assert main(words(machine, "jog", "q2", "3")) == 2
+    assert "q2 jogs at up to 0.75" in capsys.readouterr().err
+    assert main(words(machine, "jog", "q3", "0.1")) == 2
+    assert "there are q1, q2" in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_a_jog_and_the_log_tells(
+    machine: Machine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listen = Room.listen
+
+    def pressed(room: Room, seconds: float) -> None:
+        listen(room, min(seconds, 0.3))
+        if seconds == 5:
+            monkeypatch.setattr(Room, "listen", listen)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Room, "listen", pressed)
+    assert main(words(machine, "jog", "q2", "0.3", "--seconds", "5")) == 130
+    assert listed(machine, capsys)[1]["state"] in ("UNSYNCED", "IDLE")
+    assert main(words(machine, "faults", "--json")) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["axis"], row["reason"]) for row in rows][-1] == ("q2", "HOST")
+    assert rows[-1]["words"] == "the host said stop" and rows[-1]["state"] == "ARMED"
+    assert main(words(machine, "faults")) == 0
+    assert "the host said stop" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_zero_is_kept_by_other_settings(
+    machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = position(machine, capsys, 0)
+    assert main(words(machine, "zero", "q1", "0.3")) == 0
+    assert position(machine, capsys, 0) == pytest.approx(0.3, abs=0.01)
+    assert main(words(machine, "set", "--set", machine.changes[1])) == 0
+    assert position(machine, capsys, 0) == pytest.approx(0.3, abs=0.01)
+    assert main(words(machine, "zero", "q1", f"{before}")) == 0
+    assert main(words(machine, "zero", "q1", "1e9")) == 2
+    assert "beyond what the encoder counts" in capsys.readouterr().err
+
+
+def test_what_there_is_nothing_of(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(machine, "clear")) == 0
+    assert "no device is latched" in capsys.readouterr().out
+    assert main(words(machine, "clear", "--axis", "q1")) == 4
+    assert "q1: NOT_NOW" in capsys.readouterr().out
+    assert main(words(machine, "home", "q1")) == 2
+    assert "no homing" in capsys.readouterr().err
+    assert main(words(machine, "stop")) == 0

@@ -18,7 +18,7 @@ from headway.controller.record.columns import Arrays
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 LINK_M = 0.3  # both links of arm2: what an angle is worth as a path
-LIVE, BITS = 3, 32
+BITS = 32
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,13 @@ def versions(record: Arrays, axes: int, margin: int) -> tuple[NDArray[np.bool_],
     that the host sent, and by how much it differs [pq]."""
     final: list[dict[int, int]] = []
     executed: list[dict[int, int]] = []
+    knot_us = int(np.median(np.diff(record["tick_us"])))
+    tick_knot = dict(zip(record["tick_sent_us"], record["tick_us"] // knot_us, strict=True))
     for device in range(axes):
+        rows = np.flatnonzero(record["sent_plan"] & (record["sent_device"] == device))
+        ticks = {
+            int(record["sent_number"][i]): int(tick_knot.get(record["sent_us"][i], 0)) for i in rows
+        }
         sent, taken = plans(record, device), accepted(record, device)
         final.append({})
         executed.append({})
@@ -59,14 +65,13 @@ def versions(record: Arrays, axes: int, margin: int) -> tuple[NDArray[np.bool_],
             if number in taken:
                 executed[-1].update(zip(knots, points.tolist(), strict=True))
             # Free at this tick: what lies beyond the margin; the rest repeats what was sent.
-            free = first - LIVE + margin + 2
+            free = ticks[number] + margin + 2
             final[-1].update(
                 (knot, point)
                 for knot, point in zip(knots, points.tolist(), strict=True)
                 if knot >= free
             )
     start = int(record["task_start_us"][0])
-    knot_us = int(np.median(np.diff(record["tick_us"])))
     low, high = start // knot_us + 60, int(record["tick_us"][-1]) // knot_us
     rows = [
         k

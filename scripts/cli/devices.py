@@ -21,11 +21,13 @@ from headway.cli.wall import WallClock
 
 if TYPE_CHECKING:
     from headway.configs.schema import Config
+    from headway.devices.axis import AxisUnits
     from headway.devices.port_link import PortLink
     from headway.devices.remote import Remote
 
 ANSWER_S = 3.0  # for what a device is asked
 LISTEN_S = 1.0  # for clocks and counters
+DRAIN_S = 0.2  # for answers to what was asked more than once
 
 HELP = """What is connected, how it is, and the settings that it has.
 
@@ -78,7 +80,7 @@ def list_(config: Path, /, *, where: Place = HERE, to_json: Json = False) -> int
     to_json
         Prints the same as JSON.
     """
-    with _attached(config, where) as room:
+    with attached(config, where) as room:
         for remote in room.remotes:
             remote.ask_settings()
             remote.ask("FAULTS")
@@ -109,12 +111,19 @@ def set_(config: Path, /, *, where: Place = HERE) -> int:
     """
     from headway.devices.settings import device_settings
 
-    with _attached(config, where) as room:
+    with attached(config, where) as room:
         c = room.config
         try:
             wanted = [device_settings(a, c.device, c.loop, c.sync) for a in c.machine.axes]
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{config}: {error}") from error
+        for remote in room.remotes:
+            remote.ask_settings()
+        room.run(lambda remote: remote.settings is not None)
+        room.listen(DRAIN_S)
+        for settings, remote in zip(wanted, room.remotes, strict=True):
+            if remote.settings is not None:  # where it is is not the config's to say
+                settings.offset_count = remote.settings.offset_count
         return room.give([settings.encode() for settings in wanted])
 
 
@@ -133,7 +142,7 @@ def save(config: Path, /, *, where: Place = HERE, out: Path | None = None) -> in
     out
         A file for a copy, without keys. It must not exist yet.
     """
-    with _attached(config, where) as room:
+    with attached(config, where) as room:
         for remote in room.remotes:
             remote.ask_settings()
             remote.ask("SAVE")
@@ -150,7 +159,7 @@ def save(config: Path, /, *, where: Place = HERE, out: Path | None = None) -> in
                 json.dump(copy, file, indent=2)
         except OSError as error:
             raise Failure(ExitCode.USAGE, f"--out {out}: {error.strerror}") from error
-    return _verdict(answers, "kept", "its output is on" if "NOT_NOW" in answers.values() else "")
+    return verdict(answers, "kept", "its output is on" if "NOT_NOW" in answers.values() else "")
 
 
 @devices.command
@@ -172,7 +181,7 @@ def restore(config: Path, copy: Path, /, *, where: Place = HERE) -> int:
     """
     from headway.firmware import _core
 
-    with _attached(config, where) as room:
+    with attached(config, where) as room:
         try:
             texts = json.loads(copy.read_text(encoding="utf-8"))
             wanted = [bytes.fromhex(texts[joint]) for joint in room.joints]
@@ -194,16 +203,45 @@ class Room:
     """The devices of a machine, for as long as they are talked to."""
 
     def __init__(
-        self, config: Config, remotes: list[Remote], link: PortLink, clock: WallClock,
+        self, config: Config, model: Path, remotes: list[Remote], link: PortLink, clock: WallClock,
         names: list[str],
     ) -> None:  # fmt: skip
         self.config, self.remotes, self._link, self._clock = config, remotes, link, clock
+        self.model = model  # its file
         self.joints = [axis.joint for axis in config.machine.axes]
         self._names = names
 
-    def run(self, done: Callable[[Remote], bool]) -> None:
+    def index(self, axis: str) -> int:
+        """Of an axis, by its joint. Raises Failure."""
+        if axis not in self.joints:
+            raise Failure(
+                ExitCode.USAGE, f"{axis}: there is no such axis; there are {', '.join(self.joints)}"
+            )
+        return self.joints.index(axis)
+
+    def units(self, device: int) -> AxisUnits:
+        """The board's quanta."""
+        from headway.devices.axis import AxisUnits
+
+        return AxisUnits.of(self.config.machine.axes[device], self.config.loop)
+
+    def state(self, device: int) -> str:
+        """As it told last."""
+        from headway.devices.stop import STATES
+
+        status = self.remotes[device].status
+        return "unknown" if status is None else STATES[status.state]
+
+    def position(self, device: int) -> float | None:
+        """Where its axis was last [rad or m]; None while it does not know."""
+        status = self.remotes[device].status
+        if status is None or not status.homed or not status.samples:
+            return None
+        return float(status.samples[-1][1] / self.config.machine.axes[device].counts_per_unit)
+
+    def run(self, done: Callable[[Remote], bool], patience_s: float = ANSWER_S) -> None:
         """Attends until all are done, or patience is over."""
-        end_us = self._clock.now_us() + round(ANSWER_S * 1e6)
+        end_us = self._clock.now_us() + round(patience_s * 1e6)
         while not all(done(r) for r in self.remotes) and self._clock.now_us() < end_us:
             self.listen(0)
 
@@ -235,7 +273,7 @@ class Room:
                 answers[joint] = "DONE" if remote.settings.encode() == each else "refused"
             else:
                 answers[joint] = None
-        return _verdict(answers, "taken", "a device takes settings at rest with its output off")
+        return verdict(answers, "taken", "a device takes settings at rest with its output off")
 
     def told(self, device: int) -> dict[str, Any]:
         """What there is to tell of a device."""
@@ -257,6 +295,7 @@ class Room:
         faults = remote.faults or []
         return row | {
             "name": remote.settings.name if remote.settings else None,
+            "position": self.position(device),
             "synced": status.synced,
             "clock_us": None if clock.least_us is None else [clock.least_us, clock.most_us],
             "round_trip_us": clock.round_trip_us,
@@ -268,7 +307,7 @@ class Room:
 
 
 @contextmanager
-def _attached(path: Path, where: Where) -> Iterator[Room]:
+def attached(path: Path, where: Where) -> Iterator[Room]:
     """The devices, with a session each where they let us. Raises Failure."""
     linked = Linked(where.link, where.realtime_factor, False, where.keys, where.ports, False)
     linked.check()
@@ -276,12 +315,13 @@ def _attached(path: Path, where: Where) -> Iterator[Room]:
     with linked.machine(path, config, []) as reached:
         remotes, clock = reached.remotes(), WallClock(linked.factor)
         with reached.link(clock) as link:
-            room = Room(config, remotes, link, clock, link.names)
+            model = (path.parent / config.machine.model).resolve()
+            room = Room(config, model, remotes, link, clock, link.names)
             room.run(lambda remote: remote.established)
             yield room
 
 
-def _verdict(answers: dict[str, str | None], done: str, hint: str) -> int:
+def verdict(answers: dict[str, str | None], done: str, hint: str) -> int:
     for joint, answer in answers.items():
         told = {None: "no answer", "DONE": done}.get(answer, answer)
         print(f"{joint}: {told}")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
+import headway.cli.operate  # noqa: F401 - adds to the commands of `devices`
 from headway.cli.chaos import chaos
 from headway.cli.check import check
 from headway.cli.completion import completion
