@@ -104,6 +104,20 @@ BUGS = (
         "tests/test_mishaps.py::test_hung_boards_are_braked_by_their_guards",
     ),
     Bug(
+        "chopper off",
+        "firmware/monitor.c",
+        "monitor->chopper = supply_mV > (monitor->chopper ? off_mV : settings->chopper_mV);",
+        "monitor->chopper = supply_mV > off_mV * 2;",
+        "tests/test_mishaps.py::test_what_braking_feeds_back_is_burnt",
+    ),
+    Bug(
+        "encoder judged by feedback alone",
+        "firmware/device.c",
+        ".torque_tq = device->power ? servo->torque_tq : 0,",
+        ".torque_tq = device->power ? servo->feedback_tq : 0,",
+        "tests/test_stops.py::test_a_stuck_encoder_is_found_by_any_torque",
+    ),
+    Bug(
         "rest constraint off",
         "controller/ocp.py",
         "        lower = [*equal, *(ca.vec(-limit - value) for value, limit in pairs)]\n"

@@ -273,3 +273,20 @@ def test_another_host_takes_over_a_resting_machine() -> None:
     error = arrays["truth_position"][late] - arrays["truth_reference"][late][:, :2]
     assert np.abs(error).max() < 3e-3
     assert lockstep.device_states() == ["HOLD", "HOLD"]
+
+
+def test_what_braking_feeds_back_is_burnt() -> None:
+    """A bridge of 0.5 mF: its voltage rises to where the chopper works, and no further."""
+    changes = ["duration_s=1.5", "sim.bridge_F=0.0005", "task.frequency_Hz=0.9"]
+    lock = Lockstep(load_config(ROOT / "configs" / "arm2.yaml", changes), ROOT / "configs")
+    nodes, highest, burnt = lock.plant.nodes, [0.0, 0.0], [0, 0]
+
+    def progress(_: float) -> None:
+        for i, node in enumerate(nodes):
+            highest[i] = max(highest[i], node.supply_V)
+            burnt[i] += node.chopper
+
+    lock.run(progress)
+    assert [node.status.reason for node in nodes] == [0, 0]
+    assert min(highest) > 54 and max(highest) < 56  # the chopper's 54; OVERVOLTAGE is at 60
+    assert min(burnt) > 0
