@@ -78,17 +78,13 @@ class Limits:
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
         shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
         velocity = HULL_SHARE * np.array([a.velocity_limit for a in driven.values()])
-        # T v <= room gives the gate's v^2 <= 2 a (room + more), with what there is more beyond soft
-        # limits, if v <= 2 a (T + more / v): T is such that this holds up to the fastest plan, with
-        # a share of the a that the gate counts on.
+        # T v <= room and v <= 2 a T give the gate's v^2 <= 2 a room: T is such that the second
+        # holds up to the fastest plan, with a share of the a that the gate counts on. An axis with
+        # soft limits at both ends has the way beyond them to stop on.
         approach_s = np.full(len(axes), APPROACH_S)
         for speed, (i, axis) in zip(velocity, driven.items(), strict=True):
-            more = 0.0
-            if axis.soft_min is not None and axis.soft_max is not None:
-                more = min(axis.soft_min - axis.lowest, axis.highest - axis.soft_max)
-            approach_s[i] = max(
-                APPROACH_S, speed / (2 * STOP_SHARE * axis.deceleration) - more / speed
-            )
+            if axis.soft_min is None or axis.soft_max is None:
+                approach_s[i] = max(APPROACH_S, speed / (2 * STOP_SHARE * axis.deceleration))
         return cls(
             np.outer(shares, [a.effort_limit for a in driven.values()]),
             velocity,
