@@ -1980,6 +1980,132 @@ def test_the_clock_is_an_exact_line() -> None:
     assert min(seen.values()) > 20 and len(seen) == 5
 
 
+# ---- a board among others
+
+
+@dataclass
+class Asking:
+    """What it asks, and what it owes an answer, by ticks that never wrap.
+
+    An answer's interval is widened by what a clock and the reference may have come apart since the
+    clock was last judged, or since the question arrived: 800 ppm, up to a second of it.
+    """
+
+    given: dict[str, int] = field(default_factory=dict)
+    key: bytes = b""
+    now: int = 0
+    asked: int = 0
+    pause: int = 0
+    clock: Line = field(default_factory=Line)
+    judged: int = 0  # ticks of the last servo period
+    known: dict[str, int] = field(default_factory=dict)
+    open: dict[int, tuple[int, int]] = field(default_factory=dict)  # by port: nonce, when asked
+    owed: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # nonce, arrival, due
+
+    def begin(self, v: Vector) -> None:
+        self.key = v.bytes("key")
+        self.given = {name: int(value) for name, value in v.given.items() if name != "key"}
+        self.now = self.judged = self.given["count_us"]
+        self.asked = self.pause = 0
+        rate = Fraction(self.given["rate_q32"], 1 << 32)
+        self.clock = Line(self.now, 0, Fraction(self.given["base_us"]), rate)
+        nothing = {"lineage": 0, "settled": 0, "least_error_ns": -INT32_MAX}
+        self.known = nothing | {"most_error_ns": INT32_MAX}
+        self.open, self.owed = {}, {}
+
+    def ticks(self, v: Vector, name: str = "count_us") -> int:
+        """Of a count within half a turn."""
+        return self.now + wrapped(v.number(name) - self.now, 32)
+
+    def period(self, v: Vector) -> None:
+        self.now = self.judged = self.ticks(v)
+        self.clock.advance(v.number("count_us"))
+        self.known = {name: v.number(name) for name in self.known}
+
+    def draws(self, v: Vector) -> Iterator[int]:
+        random = int(v.given["random"], 16)
+        while True:
+            yield random
+            random = (random + 0x9E3779B97F4A7C15) % (1 << 64)
+
+    def named(self, port: int) -> int:
+        return self.given["ports"] >> port & 1
+
+    def speak(self, v: Vector) -> str:
+        self.now, draws = self.ticks(v), self.draws(v)
+        bodies = list[tuple[int, bytes]]()
+        if (self.now - self.asked) % (1 << 32) >= self.pause:
+            quarter = self.given["ask_us"] // 4  # to either side, evenly
+            self.pause = self.given["ask_us"] - quarter
+            self.pause += next(draws) % (1 << 16) * quarter // (1 << 15)
+            self.asked = self.now
+            for port in filter(self.named, range(1, 5)):
+                self.open[port] = next(draws), self.now
+                bodies.append((port, b"\1\x0a" + little(self.open[port][0], 8)))
+        for port in range(1, 5):
+            if port in self.owed and self.owed[port][2] <= self.now:
+                bodies.append((port, self.answer(*self.owed.pop(port)[:2])))
+        packets = [(port, cobs(body + self.tag(body))) for port, body in bodies]
+        return " ".join(f"port={port} packet={packet.hex()}" for port, packet in packets)
+
+    def tag(self, body: bytes) -> bytes:
+        return little(siphash(self.key, b"\4" + body), 8)
+
+    def answer(self, nonce: int, arrived: int) -> bytes:
+        times = self.clock.at(arrived) // 1 + 1, self.clock.at(self.now) // 1
+        is_reference = self.given["id"] != 0 and self.known["lineage"] == self.given["id"]
+        apart_us = min(self.now - min(arrived, self.judged), 1_000_000)
+        blur = 0 if is_reference else 1 + apart_us * 4 // 5
+        body = b"\1\x0b" + little(nonce, 8) + b"".join(little(time, 8) for time in times)
+        for name, sign in (("least_error_ns", -1), ("most_error_ns", 1)):
+            wider = sign * self.known[name] + blur
+            body += little(sign * wider if wider < INT32_MAX else self.known[name], 4)
+        return body + little(self.known["lineage"], 4) + bytes([self.known["settled"]])
+
+    def take(self, v: Vector) -> str:
+        self.now, port, frame = self.ticks(v), v.number("port"), v.bytes("frame")
+        body, tag = frame[:-8], frame[-8:]
+        if not self.named(port) or tag != self.tag(body):
+            return "refused"
+        nonce = int.from_bytes(body[2:10], "little")
+        if body[:2] == b"\1\x0a" and len(frame) == 18:
+            dither_us = self.given["dither_us"]
+            wait_us = next(self.draws(v)) % dither_us if dither_us else 0
+            self.owed[port] = nonce, self.ticks(v, "arrived_us"), self.now + wait_us
+            return "taken"
+        if body[:2] != b"\1\x0b" or len(frame) != 47 or self.open.get(port, (-1, 0))[0] != nonce:
+            return "refused"
+        reader, asked = Reader(body, 10), self.open.pop(port)[1]
+        received, sent = reader.time(), reader.time()
+        least, most, lineage = reader.take(4, True), reader.take(4, True), reader.take(4)
+        delay = self.given["peer_least_us"]
+        return (
+            f"source={port} to_here_least_us={delay} to_there_least_us={delay} "
+            f"least_error_ns={least} most_error_ns={most} lineage={lineage} "
+            f"settled={reader.take(1) % 2} echo_us={asked % (1 << 32)} received_us={received} "
+            f"sent_us={sent} arrived_us={v.number('arrived_us')} "
+            f"count_us={v.number('count_us')} taken"
+        )
+
+
+def test_neighbours_are_asked_at_random_and_answered_once() -> None:
+    board, seen = Asking(), Counter[str]()
+    for v in read(VECTORS / "neighbours.txt"):
+        if v.word == "neighbours":
+            board.begin(v)
+        elif v.word == "neighbours-period":
+            board.period(v)
+        elif v.word == "neighbours-flush":
+            board.owed = {}
+        else:
+            expected = board.speak(v) if v.word == "neighbours-speak" else board.take(v)
+            assert v.answer == expected, v
+            seen[expected.partition("=")[0] if "=" in expected else expected or "silent"] += 1
+            seen["answer"] += "010b" in expected and v.word == "neighbours-speak"
+    assert min(seen[kind] for kind in ("port", "source", "taken", "silent", "answer")) > 10
+    assert seen["refused"] > 50
+
+
 Proof = tuple[Fraction, int]  # of an offset, at ticks
 
 

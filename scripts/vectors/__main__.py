@@ -20,6 +20,7 @@ import group
 import guard
 import handshake
 import history
+import neighbours
 import payload
 import peer
 import servo
@@ -61,6 +62,7 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "steering": clock.steering,
     "averages": clock.averages,
     "peers": peer.peers,
+    "neighbours": neighbours.neighbours,
     "lineages": peer.lineages,
     "marks": peer.marks,
     "pieces": signals.pieces,

@@ -17,16 +17,16 @@ LAYOUT = "<QqqiiIB"
 WRAP = 1 << 32
 
 
-def _sealed(key: bytes, body: bytes) -> bytes:
+def sealed(key: bytes, body: bytes) -> bytes:
     return body + _core.siphash24(key, PEER, body).to_bytes(8, "little")
 
 
-def _request(key: bytes, nonce: int) -> bytes:
-    return _sealed(key, bytes([1, REQUEST]) + nonce.to_bytes(8, "little"))
+def request(key: bytes, nonce: int) -> bytes:
+    return sealed(key, bytes([1, REQUEST]) + nonce.to_bytes(8, "little"))
 
 
-def _response(key: bytes, *values: int) -> bytes:
-    return _sealed(key, bytes([1, RESPONSE]) + struct.pack(LAYOUT, *values))
+def response(key: bytes, *values: int) -> bytes:
+    return sealed(key, bytes([1, RESPONSE]) + struct.pack(LAYOUT, *values))
 
 
 def _broken(frame: bytes, key: bytes) -> Iterator[bytes]:
@@ -38,9 +38,9 @@ def _broken(frame: bytes, key: bytes) -> Iterator[bytes]:
     yield frame + b"\0"
     body = frame[:-8]
     for version, kind in ((0, body[1]), (2, body[1]), (1, REQUEST + RESPONSE - body[1]), (1, 1)):
-        yield _sealed(key, bytes([version, kind]) + body[2:])
-    yield _sealed(key, body[:-1])
-    yield _sealed(key, body + b"\0")
+        yield sealed(key, bytes([version, kind]) + body[2:])
+    yield sealed(key, body[:-1])
+    yield sealed(key, body + b"\0")
     for prefix in (0, 1, 2, 3, 5):  # what is hashed for another purpose
         yield body + _core.siphash24(key, prefix, body).to_bytes(8, "little")
 
@@ -51,9 +51,9 @@ def peers(rng: Random) -> Iterator[str]:
     for nonce in (0, 1, WRAP, (1 << 64) - 1, rng.getrandbits(64)):
         for of in (key, bytes(16)):
             yield line("peer-request-encode", key=of, nonce=f"{nonce:016x}")
-            yield line("peer-request-decode", key=of, frame=_request(of, nonce))
-    yield line("peer-request-decode", key=other, frame=_request(key, 7))
-    for frame in _broken(_request(key, nonce), key):
+            yield line("peer-request-decode", key=of, frame=request(of, nonce))
+    yield line("peer-request-decode", key=other, frame=request(key, 7))
+    for frame in _broken(request(key, nonce), key):
         yield line("peer-request-decode", key=key, frame=frame)
     names = ("received_us", "sent_us", "least_error_ns", "most_error_ns", "lineage", "settled")
     rows = [(0, 0, 0, 0, 0, 0), (1, 2, 3, 4, 5, 1), (-1, -2, -3, -4, 6, 0)]
@@ -67,14 +67,14 @@ def peers(rng: Random) -> Iterator[str]:
         nonce = rng.getrandbits(64)
         given = dict(zip(names, row, strict=True))
         yield line("peer-response-encode", key=key, nonce=f"{nonce:016x}", **given)
-        yield line("peer-response-decode", key=key, frame=_response(key, nonce, *row))
-        yield line("peer-response-decode", key=other, frame=_response(key, nonce, *row))
+        yield line("peer-response-decode", key=key, frame=response(key, nonce, *row))
+        yield line("peer-response-decode", key=other, frame=response(key, nonce, *row))
     for flags in (2, 3, 254, 255):  # only the lowest bit says something
-        yield line("peer-response-decode", key=key, frame=_response(key, 9, 1, 2, 3, 4, 5, flags))
+        yield line("peer-response-decode", key=key, frame=response(key, 9, 1, 2, 3, 4, 5, flags))
     for time_us in (TIME_MAX, TIME_MAX + 1, -TIME_MAX, -TIME_MAX - 1, 2**63 - 1, -(2**63)):
         for row in ((time_us, 0, 0, 0, 0, 0), (0, time_us, 0, 0, 0, 0)):
-            yield line("peer-response-decode", key=key, frame=_response(key, 9, *row))
-    for frame in _broken(_response(key, nonce, *rows[1]), key):
+            yield line("peer-response-decode", key=key, frame=response(key, 9, *row))
+    for frame in _broken(response(key, nonce, *rows[1]), key):
         yield line("peer-response-decode", key=key, frame=frame)
 
 

@@ -1,4 +1,5 @@
-// The one board that the judge has: a memory (settings.c), and outputs under a timer (guard.c).
+// The one board that the judge has: a memory (settings.c), outputs under a timer (guard.c), and ports
+// (neighbours.c).
 #ifndef HEADWAY_JUDGE_RACK_H
 #define HEADWAY_JUDGE_RACK_H
 
@@ -17,6 +18,7 @@ struct board {
     uint32_t count_us;
     bool line_open, power, brake;
     int32_t duty_q15;
+    uint64_t random; // what it draws next
 };
 
 #endif
