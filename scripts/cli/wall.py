@@ -8,7 +8,10 @@ FACTORS = 0.01, 10.0
 
 
 class WallClock:
-    """The computer's monotonic clock, which nobody sets, in microseconds times a factor.
+    """The computer's raw monotonic clock, in microseconds times a factor.
+
+    Nobody sets it, and nobody slews it: NTP bends the other monotonic one by up to 500 ppm, which
+    is more than `sync.drift_ppm` may allow for.
 
     With a factor of 0.05 a second of this time takes twenty: all that happens is the same, and the
     computer has twenty times as long for it. Processes with the same factor have the same time.
@@ -20,7 +23,7 @@ class WallClock:
 
     def now_us(self) -> int:
         """System time."""
-        return int(time.clock_gettime_ns(time.CLOCK_MONOTONIC) * self._us_per_ns)
+        return int(time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW) * self._us_per_ns)
 
     def wait_until(self, time_us: int) -> None:
         """Sleeps until a system time."""
