@@ -88,6 +88,19 @@ def test_losses_are_independent_of_each_other() -> None:
     assert abs(both - 0.01 * MANY) < 4 * math.sqrt(MANY * 0.01)
 
 
+@pytest.mark.parametrize(("loss", "run"), [(0.01, 3.0), (0.1, 4.0), (0.3, 20.0)])
+def test_losses_come_in_runs_of_the_length_asked_for(loss: float, run: float) -> None:
+    """Their lengths are geometric, their share stays what it was."""
+    line, count = wire(5, loss=loss, loss_run=run), 4 * MANY
+    lost = np.array([line.arrival(0) is None for _ in range(count)])
+    assert lost.mean() == pytest.approx(loss, abs=4 * math.sqrt(2 * run * loss / count))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], lost, [0]))))
+    lengths = edges[1::2] - edges[::2]
+    assert abs(lengths.mean() - run) < 4 * math.sqrt(run * (run - 1) / len(lengths))
+    alone = (lengths == 1).mean()
+    assert abs(alone - 1 / run) < 4 * math.sqrt((1 - 1 / run) / run / len(lengths))
+
+
 @given(st.integers(0, 2**32))
 def test_the_same_seed_has_the_same_fate(seed: int) -> None:
     first, again = wire(seed, loss=0.3, reorder=0.2), wire(seed, loss=0.3, reorder=0.2)

@@ -21,6 +21,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from headway.configs.schema import Sync
+from headway.devices.settings import sync_settings
 from headway.firmware import _core
 
 RATE_MAX = 500e-6
@@ -376,3 +378,29 @@ def test_the_average_is_off_by_half_of_what_delays_differ() -> None:
     told = work.follow(frames)
     told.assert_inside()
     assert told.error[-1] == pytest.approx(-300, abs=10)
+
+
+@pytest.mark.parametrize(
+    ("phase_per_s", "skew_per_s"), [(0.1, 0.0), (0.4, 0.0), (0.01, 0.002), (0.01, 0.01)]
+)
+def test_the_gains_are_the_configs(phase_per_s: float, skew_per_s: float) -> None:
+    """A clock that is 500 us behind, by a wire whose delays are equal and stay the same: it runs
+    faster by so much of that in a second, and with each interval by so much more."""
+    every_us, behind_us = 65_536, 500
+    made = sync_settings(
+        Sync(
+            method="average", limit_us=5000, average_us=every_us,
+            average_phase_per_s=phase_per_s, average_skew_per_s=skew_per_s,
+        )
+    )  # fmt: skip
+    times, one = np.arange(1000) * 4096.0 + 3500, np.full(1000, 2000.0)
+    frames = exchanges(times, one, times - 1000, one)
+    work = Clockwork(constant(0), made)
+    assert work.follow(frames.part(frames.arrived < 2e6)).settled[-1]
+    work.lie_us = behind_us
+    told = work.follow(frames.part(frames.arrived >= 2e6), may_step=False)
+    passed_us = frames.arrived[frames.arrived >= 2e6] - 2e6
+    for intervals in (1, 4, 8):  # the first one begins before the host's clock is another one
+        rate = told.rate[np.searchsorted(passed_us, (intervals + 1.5) * every_us)]
+        due = 1e-6 * behind_us * (phase_per_s + (intervals + 0.5) * skew_per_s)
+        assert rate == pytest.approx(due, rel=0.25, abs=1e-6)
