@@ -1,7 +1,7 @@
 """What a device does about its clock: when it moves, stops, starts anew, and whom it believes."""
 
 import pytest
-from rig import POLL_US, POSITION, TORQUE, Rig, State, device_settings
+from rig import MAKE, POLL_US, POSITION, TORQUE, Rig, State, device_settings
 
 S = State
 DAY_US = 86_400_000_000
@@ -202,6 +202,25 @@ def test_under_power_it_never_does(state: str) -> None:
     assert rig.state == S.HOLD
     if state == "ARMED":
         assert rig.reason == "CLOCK"
+
+
+@pytest.mark.parametrize("by_us", [600, -600])
+@pytest.mark.parametrize("state", [state for state in S if state > S.UNSYNCED])
+def test_above_unsynced_it_is_slewed(state: State, by_us: int) -> None:
+    """After a host that has been set by less than the wire's delays hide: by 500 ppm at most."""
+    rig = MAKE[state]()
+    assert rig.state == state
+    host_is_off(rig, by_us)
+    begin = rig.node.system_us(rig.now) - rig.now
+    for _ in range(100_000 // POLL_US):
+        before = rig.node.system_us(rig.now)
+        rig.poll()
+        if rig.state == S.UNSYNCED:  # after an emergency stop
+            break
+        assert abs(rig.node.system_us(rig.now) - before - POLL_US) <= 1
+    moved = rig.node.system_us(rig.now) - rig.now - begin
+    assert abs(moved) > 10 or state == S.ESTOP
+    assert rig.node.status.stamps_excluded == 0
 
 
 def test_15_are_not_enough() -> None:

@@ -335,6 +335,23 @@ def test_a_host_that_is_set_by_less_than_delays_vary_is_doubted(lie_us: int) -> 
     assert seen.least[-1] <= seen.error[-1] - lie_us <= seen.most[-1]
 
 
+@pytest.mark.parametrize("slew_ppm", [-500, -200, 200, 500, 1000])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_host_that_is_slewed_beyond_what_is_told_is_doubted(slew_ppm: int, seed: int) -> None:
+    """As NTP does it. Within 1.5 s nothing counts as known any more; the drift that is told is 150
+    ppm, and the oscillators' own is 40."""
+    skews = np.array([40, 40, 40 + slew_ppm, 40 + slew_ppm]) * 1e-6
+    work = Clockwork(Offset(np.array([0, 10e6, 10e6 + 1, 60e6]), skews), settings())
+    frames = stream(np.random.default_rng(seed), 13)
+    early = work.follow(frames.part(frames.arrived < 10e6))
+    early.assert_inside()
+    assert early.settled[-1] and work.sync.excluded == 0
+    told = work.follow(frames.part(frames.arrived >= 10e6), may_step=False)
+    late = frames.arrived[frames.arrived >= 10e6] > 11.5e6
+    assert not told.known[late].any() and not told.settled[late].any()
+    assert np.abs(told.error[told.known]).max() < 500
+
+
 def test_a_few_that_are_wrong_are_no_doubt() -> None:
     """Sixteen in a row are, fifteen are not; one that is good takes a sixty-fourth of one back."""
     work, _ = begun(constant(0), 5)

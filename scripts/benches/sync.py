@@ -309,7 +309,6 @@ def arm(job: tuple[float, int]) -> list[float]:
 
 
 PER_BOARD = 4  # instants
-CUT = ("usb-iid", "lan")  # networks whose contact is cut
 DRIFTS_PPM = (0.0, 100.0)
 TUNED_EVERY_US = 10_000  # a chain is looked at
 
@@ -391,7 +390,7 @@ def others(effort: Effort) -> list[Task]:
         Task(f"{p}, tightest, {s}", ratios, (p, s, effort)) for p in PROFILES for s in boards_of
     ]
     tasks += [
-        Task(f"{p}, cut, {s}", holdover, (p, s)) for p in CUT for s in range(effort.holdovers)
+        Task(f"{p}, cut, {s}", holdover, (p, s)) for p in PROFILES for s in range(effort.holdovers)
     ]
     tasks += [Task(f"arm2, {d}, {s}", arm, (d, s)) for d in DRIFTS_PPM for s in range(effort.arms)]
     return tasks
@@ -456,7 +455,7 @@ def report(found: dict[str, Any], effort: Effort, file: Path | None) -> None:
                 if name == MARKED:
                     goals.append(goal(f"{key}: pairs p99.9 [us]", pairs, "<=", PAIR_LIMIT_US))
     gaps = []
-    for profile in CUT:
+    for profile in PROFILES:
         if cuts := of(f"{profile}, cut"):
             worst, outside = zip(*cuts, strict=True)
             gaps.append({
