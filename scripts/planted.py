@@ -62,6 +62,41 @@ BUGS = (
         "tests/test_device_states.py::test_syncs_to_the_hosts_time",
     ),
     Bug(
+        "clock steps above UNSYNCED",
+        "firmware/device.c",
+        "                   device->state == DEVICE_UNSYNCED)) {",
+        "                   device->state >= DEVICE_UNSYNCED)) {",
+        "tests/test_clock_states.py::test_above_unsynced_it_is_slewed",
+    ),
+    Bug(
+        "unsure clock does not stop",
+        "firmware/device.c",
+        "} else if (device->state > DEVICE_UNSYNCED) {",
+        "} else if (device->state > DEVICE_UNSYNCED && sync->settled) {",
+        "tests/test_clock_states.py::test_an_interval_beyond_the_limit_stops_it",
+    ),
+    Bug(
+        "armed with an unsure clock",
+        "firmware/obey.c",
+        "    if (!device->sync.settled)\n        return COMMAND_UNSYNCED;\n    device->hold_tq",
+        "    device->hold_tq",
+        "tests/test_clock_states.py::test_it_is_not_armed_with_a_clock_that_is_not_good",
+    ),
+    Bug(
+        "set clock not doubted",
+        "firmware/sync.c",
+        "    sync->doubtful |= doubts_all(sync);\n",
+        "    (void)doubts_all;\n",
+        "tests/test_clock_mishaps.py::test_any_other_brings_the_machine_to_rest",
+    ),
+    Bug(
+        "neighbour's error forgotten",  # so that intervals do not add up along a chain
+        "firmware/sync.c",
+        "(int64_t)source->most_error_ns * (1 << 16) / 1000 + 1;",
+        "1;",
+        "tests/test_neighbours.py::test_all_settle_and_keep_within_a_bound",
+    ),
+    Bug(
         "delay ignored",  # what was last measured is taken for the state now
         "controller/estimator.py",
         "[*kept.times_us(before), now_us]",
