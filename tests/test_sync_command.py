@@ -8,7 +8,10 @@ import pytest
 from processes import Machine
 
 from headway.cli.main import main
+from headway.configs.load import load_config
+from headway.controller.tick import DeviceError
 from headway.devices.keys import draw_key
+from headway.sim.lockstep import Lockstep
 
 CONFIG = str(Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml")
 QUICK = ["--settled", "0.5", "--timeout", "6"]
@@ -57,6 +60,20 @@ def test_it_says_who_does_not_settle(
     assert json.loads(captured.out)["settled"] is False
     assert "not settled within 2 s" in captured.err
     assert all(words in captured.err for words in who)
+
+
+def test_a_run_waits_for_the_same_and_arms_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    """With nothing known of the least delays the interval is the round trip's, beyond the limit."""
+    unknown = ["sync.to_device_least_us=0", "sync.to_host_least_us=0", "sync.limit_us=500"]
+    words = [word for change in unknown for word in ("--set", change)]
+    assert main(["run", CONFIG, *words]) == 4
+    said = capsys.readouterr().err
+    assert "not settled within 20 s: " in said
+    assert "q1: its clock may err by" in said and "q2: its clock may err by" in said
+    lockstep = Lockstep(load_config(Path(CONFIG), unknown), Path(CONFIG).parent)
+    with pytest.raises(DeviceError, match="not settled"):
+        lockstep.run()
+    assert lockstep.device_states() == ["UNSYNCED", "UNSYNCED"]
 
 
 def test_an_asymmetry_that_nobody_told_stays_hidden(capsys: pytest.CaptureFixture[str]) -> None:
