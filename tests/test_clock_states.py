@@ -279,3 +279,45 @@ def test_a_step_forgets_the_samples_of_before() -> None:
             status = rig.statuses[-1]
             late = [status.sent_us - time_us for time_us, _ in status.samples]
             assert all(0 <= age < 100_000 for age in late)
+
+
+# ---- the counter's ends
+
+Moment = tuple[State, int, bool, bool, int, tuple[int, int], int, int]
+
+
+def life(offset: int) -> list[Moment]:
+    """Of a board whose count begins at `offset`: from power-up through a run, its end, another one
+    and silence, with an encoder that moves a little; all that it does at each poll."""
+    rig, moments = Rig(count_offset=offset % (1 << 32)), list[Moment]()
+
+    def live(us: int) -> None:
+        for _ in range(us // POLL_US):
+            rig.poll()
+            node, status = rig.node, rig.node.status
+            moments.append(
+                (rig.state, node.duty_q15, node.power, node.brake, node.system_us(rig.now),
+                 node.error_ns, status.frames_bad, status.stamps_excluded)
+            )  # fmt: skip
+
+    live(1_200_000)
+    rig.encoder = lambda now: now // 30_000 % 3
+    for _ in range(2):
+        rig.start(60)
+        live(400_000)
+    rig.syncing = False
+    live(1_100_000)
+    return moments
+
+
+def test_a_wrap_of_the_count_changes_nothing() -> None:
+    """At each of its ends, as unsigned and as signed numbers have them, in each part of a life."""
+    plain = life(0)
+    states = [moment[0] for moment in plain]
+    assert {S.UNSYNCED, S.IDLE, S.RUNNING, S.COAST, S.HOLD} <= set(states)
+    assert any(moment[1] for moment in plain)
+    for edge in (1 << 31, 1 << 32):
+        for state in (S.UNSYNCED, S.IDLE, S.RUNNING, S.COAST, S.HOLD):
+            middle_us = POLL_US * (states.index(state) + states.count(state) // 3)
+            for aside in (0, 1, 137):
+                assert life(edge - middle_us - aside) == plain, (edge, state, aside)
