@@ -97,6 +97,15 @@ class Loop(Section):
         return -(-self.margin_us // self.knot_us)
 
 
+class Cable(Section):
+    """A wire between two boards, for the time alone."""
+
+    joints: Annotated[list[str], Field(min_length=2, max_length=2)]
+    """Whose boards it joins."""
+    ports: Annotated[list[Annotated[int, Field(ge=1, le=4)]], Field(min_length=2, max_length=2)]
+    """At which port of each it is."""
+
+
 class Sync(Section):
     """How the boards' clocks follow the host's, and what may be relied on for that."""
 
@@ -120,6 +129,12 @@ class Sync(Section):
     """All boards hang on one USB host controller and see the same starts of frames: then they agree
     with each other by these.
     """
+    cables: list[Cable] = Field(default=[])
+    """Cables by which boards ask each other for the time, beside those to the host."""
+    ask_us: Annotated[int, Field(ge=1_000, le=10_000_000)] = 8_192
+    """How often they do."""
+    cable_least_us: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """No frame takes less time by a cable, either way."""
     drift_ppm: Annotated[float, Field(gt=0, le=300)] = 200.0
     """A board's oscillator and the host's differ by this much at most."""
     wander_ppm_per_s: Annotated[float, Field(gt=0, le=60)] = 1.0
@@ -484,6 +499,7 @@ class Config(Section):
             for i, mishap in enumerate(self.sim.mishaps)
             if mishap.joint is not None and mishap.joint not in joints
         ]
+        mistakes += self._of_cables(joints)
         heavy = [axis.joint for axis in self.machine.driven.values() if axis.carries_gravity]
         if self.device.torque_gap == "zero" and heavy:
             mistakes.append(
@@ -495,6 +511,26 @@ class Config(Section):
         if mistakes:
             raise ValueError("; ".join(mistakes))
         return self
+
+    def _of_cables(self, joints: list[str]) -> list[str]:
+        """What does not fit together about the cables between boards."""
+        mistakes, taken = list[str](), dict[tuple[str, int], int]()
+        for i, cable in enumerate(self.sync.cables):
+            if cable.joints[0] == cable.joints[1]:
+                mistakes.append(f"sync.cables.{i} joins {cable.joints[0]} with itself: name two")
+            for end in zip(cable.joints, cable.ports, strict=True):
+                joint, port = end
+                if joint not in joints:
+                    known = ", ".join(joints)
+                    mistakes.append(
+                        f"sync.cables.{i}.joints has {joint}; the machine's joints are {known}"
+                    )
+                elif taken.setdefault(end, i) != i:
+                    mistakes.append(
+                        f"sync.cables.{i} is at port {port} of {joint}, and so is "
+                        f"sync.cables.{taken[end]}: take another port"
+                    )
+        return mistakes
 
     @staticmethod
     def _of_sine(axis: Axis, sine: Sine, index: int) -> str | None:

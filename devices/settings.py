@@ -48,11 +48,19 @@ def device_settings(axis: Axis, device: Device, loop: Loop, sync: Sync) -> _core
     settings.stop_us, settings.sync_lost_us = device.stop_us, device.sync_lost_us
     settings.knot_periods = scale_of(loop.knot_us / device.servo_period_us)
     settings.sync, settings.dither_us = sync_settings(sync), sync.dither_us
+    settings.neighbours = sum(1 << port for port in _cable_ports(axis.joint, sync))
+    settings.ask_us, settings.peer_least_us = sync.ask_us, sync.cable_least_us
     if axis.passive:
         _encoder_alone(settings)
     else:
         _drive(settings, axis, device, loop)
     return settings
+
+
+def _cable_ports(joint: str, sync: Sync) -> list[int]:
+    """Where another board is."""
+    ends = (end for c in sync.cables for end in zip(c.joints, c.ports, strict=True))
+    return [port for name, port in ends if name == joint]
 
 
 def _encoder_alone(settings: _core.DeviceSettings) -> None:

@@ -1,4 +1,4 @@
-"""The simulated network as the loop sees it, and the host's clock."""
+"""The simulated network as the loop sees it, cables between boards, and the host's clock."""
 
 from __future__ import annotations
 
@@ -28,6 +28,14 @@ class SimLink:
         self.bus = Bus.of(frame_us, seeds[2 * n]) if frame_us else None
         self.to_device = [Wire(to_device, rng, self.bus) for rng in seeds[:n]]
         self.to_host = [Wire(to_host, rng, self.bus) for rng in seeds[n : 2 * n]]
+        # By board and port: the same at the other end, and the wire there. It is like a board's
+        # from the host, as it ends at a board, too.
+        joints = [axis.joint for axis in config.machine.axes]
+        self._cables: dict[tuple[int, int], tuple[int, int, Wire]] = {}
+        for cable in config.sync.cables:
+            (a, b), (here, there) = map(joints.index, cable.joints), cable.ports
+            out, back = (Wire(to_device, rng, self.bus) for rng in seeds[2 * n].spawn(2))
+            self._cables |= {(a, here): (b, there, out), (b, there): (a, here, back)}
 
     def count_anew(self) -> None:
         """From here on, frames are counted from zero."""
@@ -45,12 +53,17 @@ class SimLink:
         self.epoch_us += step_us
 
     def collect(self) -> None:
-        """Puts what the devices have sent on its way to the host."""
+        """Puts what the devices have sent on its way, to the host and to each other."""
         for device, node in enumerate(self._plant.nodes):
             for sent_us, packet in node.collect():
                 for arrival_us in self.to_host[device].carry(sent_us, len(packet)):
                     if device not in self._cut:
                         self._mailbox.put(arrival_us, device, packet)
+        for (device, port), (other, its_port, wire) in self._cables.items():
+            for sent_us, packet in self._plant.nodes[device].collect(port):
+                for arrival_us in wire.carry(sent_us, len(packet)):
+                    if not {device, other} & self._cut:
+                        self._plant.nodes[other].deliver(arrival_us, packet, its_port)
 
     @property
     def due_us(self) -> int:

@@ -453,7 +453,7 @@ UNITS = re.compile(
 PURE_NUMBERS = {
     "parameters", "sqp_iterations", "coupling",
     "seed", "gear", "counts_per_turn", "counts_per_m", "sample_every", "harmonic", "intervals",
-    "max_iterations", "fade_start", "fade_end", "loss", "loss_run", "reorder",
+    "max_iterations", "fade_start", "fade_end", "loss", "loss_run", "ports", "reorder",
     "duplicate", "tail",
 }  # fmt: skip
 
