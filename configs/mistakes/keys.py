@@ -135,7 +135,8 @@ def _kind(kind: Schema) -> str:
         case {"type": "string"}:
             return f"text{_letters(kind.get('pattern'))}"
         case {"type": "array", "items": dict(inner)}:
-            least = f" of {kind['minItems']} or more" if kind.get("minItems") else ""
+            low, high = kind.get("minItems"), kind.get("maxItems")
+            least = f" of {low}" + " or more" * (low != high) if low else ""
             return f"a list{least}, each entry {_kind(kinds(inner)[0])}"
         case {"properties": _}:
             return f"a section with {listed_keys(kind, 6)}"
