@@ -88,6 +88,7 @@ class Boards:
         for the boards' own random numbers. `bus`: whose starts of frames all boards see. `poll_us`:
         between a board's polls, at random and on average; 0: none but at periods and arrivals."""
         self.nodes, self._state = list[_board.Node](), []
+        self.crystals = list(crystals)
         polls_rng = rng.spawn(1)[0]
         self._polled = _board.Polled()
         for each, crystal in zip(settings, crystals, strict=True):
@@ -155,10 +156,14 @@ class Boards:
             host = self.hosts[board]
             host.remote.receive(packet, now_us + host.epoch_us)
             return
-        self.nodes[board].deliver(now_us, packet, what)
+        self.arrive(End(board, what), now_us, packet)
         encoder = self.encoders.get(board)
         if self.nodes[board].poll(now_us, encoder(now_us) if encoder else 0):
             self._collect(board)
+
+    def arrive(self, end: End, now_us: int, packet: bytes) -> None:
+        """Hands a board what has arrived at one of its ports."""
+        self.nodes[end.board].deliver(now_us, packet, end.port)
 
     def _send_from(self, host: Host, now_us: int) -> None:
         self._put(now_us + host.knot_us, host.board, SEND, b"")
@@ -176,6 +181,10 @@ class Boards:
                         self._put(arrival_us, board, RECEIVE, reply)
         for own in self._ports[board]:
             for sent_us, frame in node.collect(own):
-                (other, its_port), wire = self._ways[End(board, own)]
-                for arrival_us in wire.carry(sent_us, len(frame)):
-                    self._put(arrival_us, other, its_port, frame)
+                self.carry(End(board, own), sent_us, frame)
+
+    def carry(self, start: End, sent_us: int, frame: bytes) -> None:
+        """Takes what a board sends another one to the cable's other end."""
+        end, wire = self._ways[start]
+        for arrival_us in wire.carry(sent_us, len(frame)):
+            self._put(arrival_us, end.board, end.port, frame)

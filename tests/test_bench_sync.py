@@ -22,7 +22,9 @@ from headway.sim.boards import Boards, Cable, Crystal, End, Host
 from headway.sim.network import Wire
 
 FOLDER = Path(__file__).resolve().parent.parent / "scripts" / "benches"
-NAMES = ("exchanges", "rivals", "firmware", "search", "tally", "tight", "boards", "campaign")
+NAMES = (
+    "exchanges", "rivals", "firmware", "search", "tally", "tight", "boards", "campaign", "heard",
+)  # fmt: skip
 PERFECT = Channel(delay_us=300, jitter_us=0, loss=0.0)
 NUMBERS = {  # that suit a network without jitter
     "half trip": {"alpha": 0.05, "beta": 1.0},
@@ -295,6 +297,27 @@ def test_a_chain_tells_the_truth(clocks: dict[str, ModuleType]) -> None:
     assert (np.diff(half) > 0).all()  # each hop adds to what is not known
     again = boards.run(boards.chain("usb-iid", method, np.random.default_rng(4)), 2_500_000)
     assert (again.error == ran.error).all()
+
+
+@pytest.mark.parametrize("profile", ["usb", "usb-iid", "awful"])
+def test_nothing_is_narrower_in_a_chain(clocks: dict[str, ModuleType], profile: str) -> None:
+    """By what its neighbours say no board is narrower than allowed, and the truth is allowed."""
+    boards, heard, tight = clocks["boards"], clocks["heard"], clocks["tight"]
+    exchanges, told_ppm = clocks["exchanges"], clocks["firmware"].DRIFT_PPM
+    rng, method = np.random.default_rng(6), clocks["firmware"].BOUNDS
+    made = boards.chain(profile, method, rng, None, heard.Tapped)
+    least_us = exchanges.least_of(profiles.PROFILES[profile].to_device, exchanges.REQUEST_BYTES)
+    for true_us in (2_000_300, 4_000_700):
+        made.advance(true_us)
+        for board in range(1, 5):
+            told, tightest = heard.widths(made, board, 1000, least_us, told_ppm, 1.0)
+            assert tightest - 0.05 <= told <= 1.3 * tightest
+            crystal = made.crystals[board]
+            now = int(exchanges.ticks_of(crystal, np.array([true_us]))[0])
+            base = true_us + exchanges.EPOCH_US - now
+            known = heard.proofs(made.heard[board], crystal, now, least_us, base)
+            low, high = tight.tightest(known, told_ppm, 1.0)
+            assert low <= 1 and high >= -1
 
 
 def test_a_cascade_on_a_perfect_network(clocks: dict[str, ModuleType], perfect: str) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,9 @@ PERIOD_US = 1000
 POLL_US = 100  # a board has little to do but poll
 # An answer counts until the next question: of a network with long delays only the fast ones do.
 ASK_US = KNOT_US
+
+
+B = TypeVar("B", bound=Boards)
 
 
 class Ran(NamedTuple):
@@ -87,8 +91,12 @@ def _host(
 
 
 def chain(
-    profile: str, method: int, rng: np.random.Generator, tuned: dict[str, float] | None = None
-) -> Boards:
+    profile: str,
+    method: int,
+    rng: np.random.Generator,
+    tuned: dict[str, float] | None = None,
+    kind: Callable[..., B] = Boards,
+) -> B:
     """A row, powered up. Between boards both ways are like the profile's way to a device."""
     bus = bus_of(profile, rng)
     settings = [
@@ -101,7 +109,7 @@ def chain(
         wires = [Wire(PROFILES[profile].to_device, each, bus) for each in rng.spawn(2)]
         cables.append(Cable((End(board, DOWN), End(board + 1, UP)), (wires[0], wires[1])))
     host = _host(profile, 0, settings[0].key, bus, rng)
-    return Boards(settings, crystals, cables, rng.spawn(1)[0], [host], None, POLL_US)
+    return kind(settings, crystals, cables, rng.spawn(1)[0], [host], None, POLL_US)
 
 
 def star(profile: str, boards: int, rng: np.random.Generator, marked: bool) -> Boards:

@@ -50,6 +50,15 @@ class Stamps(NamedTuple):
     least: Least
 
 
+def ticks_of(numbers: tuple[int, int, int, int, int], true_us: Times) -> Times:
+    """What the counter of an oscillator with these numbers shows, without its wraps, at true times
+    of shape (n,), ascending."""
+    offset = numbers[0]
+    count = _board.Oscillator(*numbers).counts(true_us).astype(np.int64)
+    gained = (count - true_us - offset) & 0xFFFFFFFF
+    return true_us + offset + np.where(gained >= 2**31, gained - 2**32, gained)
+
+
 class Counter:
     """A board's counter, without its wraps."""
 
@@ -62,14 +71,10 @@ class Counter:
             drift_ppb,
             int(rng.integers(2**63)),
         )
-        self._oscillator = _board.Oscillator(*self.numbers)
 
     def ticks(self, true_us: Times) -> Times:
         """At true times of shape (n,), ascending."""
-        offset = self.numbers[0]
-        count = self._oscillator.counts(true_us).astype(np.int64)
-        gained = (count - true_us - offset) & 0xFFFFFFFF
-        return true_us + offset + np.where(gained >= 2**31, gained - 2**32, gained)
+        return ticks_of(self.numbers, true_us)
 
     def periods(self, duration_us: int) -> Times:
         """True times, at multiples of SERVO_US on the counter."""
