@@ -231,9 +231,10 @@ class Mpc(Section):
     """
     soft_weight: ByAxis = 1.0e7
     """On what is beyond a soft limit, squared, in 1/rad^2 or 1/m^2."""
-    backend: Literal["osqp", "hpipm"] = "osqp"
+    backend: Literal["osqp", "hpipm", "riccati"] = "osqp"
     """The solver. osqp: an operator splitting method, warm-started. hpipm: an interior-point method
-    by stages, the same time every tick.
+    by stages. riccati: the same kind of method, compiled for the machine, and the fastest: where no
+    limit is active it takes one step.
     """
     max_iterations: Annotated[int, Field(ge=10, le=100000)] = 150
     """Of OSQP in one program."""

@@ -38,7 +38,7 @@ class Osqp(Solver):
         tolerance: float,
     ) -> None: ...
 
-class Hpipm(Solver):
+class Stages:
     def __init__(
         self,
         driven: list[int],
@@ -57,8 +57,14 @@ class Hpipm(Solver):
         curvature: Array,
         approach_s: Array,
         soft: Array,
-        max_iterations: int,
-        tolerance: float,
+    ) -> None: ...
+
+class Hpipm(Solver):
+    def __init__(self, stages: Stages, max_iterations: int, tolerance: float) -> None: ...
+
+class Riccati(Solver):
+    def __init__(
+        self, library: str, stages: Stages, max_iterations: int, tolerance: float
     ) -> None: ...
 
 class Feedback:

@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -10,6 +11,7 @@
 #include "filter.hpp"
 #include "hpipm.hpp"
 #include "osqp.hpp"
+#include "riccati.hpp"
 #include "tick.hpp"
 
 namespace nb = nanobind;
@@ -120,24 +122,31 @@ NB_MODULE(_tick, m) {
         "scale"_a, "max_iterations"_a, "tolerance"_a,
         "The Hessian's upper half and the constraints by columns. Raises ValueError for data "
         "that OSQP refuses.");
-    nb::class_<Hpipm, Solver>(m, "Hpipm")
+    nb::class_<Stages>(m, "Stages", "A problem by stages, in arrays that others fill.")
         .def(
             "__init__",
-            [](Hpipm *self, std::vector<int> driven, std::vector<int> bounded, Matrix a, Matrix b0,
+            [](Stages *self, std::vector<int> driven, std::vector<int> bounded, Matrix a, Matrix b0,
                Matrix b1, Matrix gradient, Matrix lower, Matrix upper, Matrix column_scale,
                Matrix row_scale, Matrix state, Matrix torque, Matrix step, Matrix curvature,
-               Matrix approach_s, Matrix soft, int max_iterations, double tolerance) {
+               Matrix approach_s, Matrix soft) {
                 int axes = (int)approach_s.size(), intervals = (int)step.shape(1);
-                new (self) Hpipm({axes, intervals, driven, bounded, a, b0, b1, gradient, lower,
-                                  upper, column_scale, row_scale, state, torque, step, curvature,
-                                  approach_s, soft},
-                                 max_iterations, tolerance);
+                new (self)
+                    Stages{axes,     intervals, driven,     bounded,      a,         b0,    b1,
+                           gradient, lower,     upper,      column_scale, row_scale, state, torque,
+                           step,     curvature, approach_s, soft};
             },
             "driven"_a, "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a, "upper"_a,
             "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a, "curvature"_a,
-            "approach_s"_a, "soft"_a, "max_iterations"_a, "tolerance"_a,
-            "Arrays in Fortran order, see hpipm.hpp; `driven`: the axes with a motor; `bounded`: "
+            "approach_s"_a, "soft"_a,
+            "Arrays in Fortran order, see stages.hpp; `driven`: the axes with a motor; `bounded`: "
             "those with soft limits.");
+    nb::class_<Hpipm, Solver>(m, "Hpipm")
+        .def(nb::init<Stages, int, double>(), "stages"_a, "max_iterations"_a, "tolerance"_a);
+    nb::class_<Riccati, Solver>(m, "Riccati")
+        .def(nb::init<std::string, Stages, int, double>(), "library"_a, "stages"_a,
+             "max_iterations"_a, "tolerance"_a,
+             "library: riccati.c, compiled for the machine and its horizon. Raises RuntimeError if "
+             "it is something else.");
     nb::class_<Feedback>(m, "Feedback", "What became of a tick's problem.")
         .def_prop_ro("status", [](const Feedback &f) { return f.answer.status; })
         .def_prop_ro("iterations", [](const Feedback &f) { return f.answer.iterations; })

@@ -15,15 +15,24 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
-from headway.controller._tick import Encoding, Feedback, Hpipm, Osqp, Solver, Tick
+from headway.controller._tick import (
+    Encoding,
+    Feedback,
+    Hpipm,
+    Osqp,
+    Riccati,
+    Solver,
+    Stages,
+    Tick,
+)
 from headway.controller.objective import Costs
 from headway.controller.ocp import Limits, Ocp
 from headway.controller.prediction import Prediction
-from headway.models.codegen import Array, Call, compile_functions
+from headway.models.codegen import Array, Call, compile_functions, compile_source
 
 OSQP_TOLERANCE = 3e-4  # in scaled units: of 3e-4 mrad, and in parts of what the problem moves by
-HPIPM_TOLERANCE = 1e-4  # in scaled units
-HPIPM_ITERATIONS = 30
+STAGES_TOLERANCE = 1e-4  # of the interior-point methods, in scaled units
+STAGES_ITERATIONS = 30
 
 
 class Program:
@@ -64,8 +73,10 @@ class Program:
             if costs is not None:
                 before.append(squaring(self._library, ocp, pool).bound)
             solver = _osqp(config, ocp, pool)
-        else:
+        elif config.mpc.backend == "hpipm":
             solver = _hpipm(ocp, pool)
+        else:
+            solver = _riccati(ocp, pool)
         answer = self._judge.bound, pool["residual"], encoding
         guess = (pool[name] for name in ("x", "u", "assumed", "around", "d"))
         sqp = config.mpc.sqp_iterations, ocp.driven
@@ -151,10 +162,10 @@ def _osqp(config: Config, ocp: Ocp, pool: dict[str, Array]) -> Solver:
     )
 
 
-def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
+def _stages(ocp: Ocp, pool: dict[str, Array]) -> Stages:
     vectors = pool["gradient"], pool["lower"], pool["upper"]
     scales, hessian, soft = ocp.stages()
-    return Hpipm(
+    return Stages(
         ocp.driven,
         ocp.bounded.tolist(),
         *(pool["a"], pool["b0"], pool["b1"]),
@@ -163,9 +174,29 @@ def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
         *hessian,
         pool.get("curvature", np.empty((0, 0))),
         *soft,
-        HPIPM_ITERATIONS,
-        HPIPM_TOLERANCE,
     )
+
+
+def _hpipm(ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    return Hpipm(_stages(ocp, pool), STAGES_ITERATIONS, STAGES_TOLERANCE)
+
+
+def _riccati(ocp: Ocp, pool: dict[str, Array]) -> Solver:
+    library = compile_source("riccati", riccati_source(ocp, "curvature" in pool))
+    return Riccati(str(library), _stages(ocp, pool), STAGES_ITERATIONS, STAGES_TOLERANCE)
+
+
+def riccati_source(ocp: Ocp, curved: bool) -> str:
+    """riccati.c with what it is compiled for; `curved`: for costs of the task's own."""
+    numbers = {
+        "AXES": ocp.n, "MOTORS": len(ocp.driven), "SOFT": len(ocp.bounded),
+        "INTERVALS": ocp.intervals, "CURVED": int(curved),
+    }  # fmt: skip
+    lists = {"DRIVEN": ocp.driven, "BOUNDED": ocp.bounded.tolist() or [0]}  # C has no empty array
+    lines = [f"#define {name} {value}" for name, value in numbers.items()]
+    lines += [f"#define {name} {{{', '.join(map(str, of))}}}" for name, of in lists.items()]
+    here = Path(__file__).parent
+    return "\n".join([*lines, *((here / file).read_text() for file in ("riccati.h", "riccati.c"))])
 
 
 def _by_columns(matrix: sp.csc_matrix) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:

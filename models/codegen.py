@@ -1,4 +1,4 @@
-"""CasADi functions as compiled C, cached by the hash of their source."""
+"""Functions as compiled C, CasADi's and our own, cached by the hash of their source."""
 
 from __future__ import annotations
 
@@ -30,17 +30,21 @@ def cache_dir() -> Path:
 
 
 def compile_functions(name: str, functions: list[ca.Function]) -> Path:
-    """Generates one C file for all `functions` and compiles it once; returns the library.
+    """Generates one C file for all `functions`, see `compile_source`."""
+    generator = ca.CodeGenerator(f"{name}.c")
+    for function in functions:
+        generator.add(function)
+    return compile_source(name, generator.dump() + f"\n// CasADi {ca.CasadiMeta.version()}\n")
+
+
+def compile_source(name: str, source: str) -> Path:
+    """Compiles one C file once; returns the library.
 
     The shared library is named by the hash of its source and put in place by a rename, so
     processes that compile at the same time do no harm to each other. It ends in a hash of its own,
     so a damaged one is built anew. Raises RuntimeError when there is no C compiler or it fails.
     """
-    generator = ca.CodeGenerator(f"{name}.c")
-    for function in functions:
-        generator.add(function)
-    source = generator.dump()
-    made_of = source + ca.CasadiMeta.version() + " ".join(FLAGS) + _processor()
+    made_of = source + " ".join(FLAGS) + _processor()
     digest = hashlib.sha256(made_of.encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
     if not _intact(library):

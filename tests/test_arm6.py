@@ -30,7 +30,7 @@ def test_it_is_as_long_and_as_heavy_as_said() -> None:
     np.testing.assert_allclose(model.body_mass.sum(), 17.0489, atol=1e-9)
 
 
-@pytest.mark.parametrize("backend", ["hpipm", "osqp"])
+@pytest.mark.parametrize("backend", ["hpipm", "osqp", "riccati"])
 def test_it_follows_and_rests(backend: str) -> None:
     """With a fifth more mass than it is known to have, friction and losses."""
     lock = Lockstep(

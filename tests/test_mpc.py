@@ -88,7 +88,9 @@ def problems(backend: str, *more: str) -> list[Problem]:
     return seen
 
 
-@pytest.mark.parametrize(("backend", "tolerance"), [("osqp", 0.2), ("hpipm", 1e-3)])
+@pytest.mark.parametrize(
+    ("backend", "tolerance"), [("osqp", 0.2), ("hpipm", 1e-3), ("riccati", 1e-3)]
+)
 def test_a_solver_finds_what_another_one_finds(backend: str, tolerance: float) -> None:
     """In the cost, and in the states that it weighs, in units of a millirad. What comes after them
     only has to stop, and one way is as good as another."""
@@ -122,7 +124,7 @@ def test_the_residual_is_that_of_the_constraints() -> None:
         assert (problem.solution.residual > 0.01) <= (excess > 1e-5)
 
 
-@pytest.mark.parametrize("backend", ["osqp", "hpipm"])
+@pytest.mark.parametrize("backend", ["osqp", "hpipm", "riccati"])
 def test_the_kkt_residuals_bound_what_an_answer_costs_too_much(backend: str) -> None:
     """By convexity, with any multipliers: cost(z) - cost(z*) <= slope of the Lagrangian times
     (z - z*) + the products of multipliers and distances (Boyd, Vandenberghe, Convex Optimization,
@@ -132,7 +134,7 @@ def test_the_kkt_residuals_bound_what_an_answer_costs_too_much(backend: str) -> 
         exact, solution = problem.exact(), problem.solution
         excess = problem.cost(problem.z) - problem.cost(exact)
         slope = solution.stationarity * float(np.abs((problem.z - exact) * of_scale).sum())
-        # Two products for each of HPIPM's boxes, one for each of OSQP's rows.
+        # Two products for each box by stages, one for each of OSQP's rows.
         assert excess <= slope + 2 * len(problem.vectors[1]) * solution.complementarity + 1e-6
 
 

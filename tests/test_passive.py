@@ -32,7 +32,7 @@ def off_upright(record: Arrays) -> Array:
 
 
 @pytest.mark.parametrize("name", ["furuta", "cartpole"])
-@pytest.mark.parametrize("backend", ["hpipm", "osqp"])
+@pytest.mark.parametrize("backend", ["hpipm", "osqp", "riccati"])
 def test_it_is_swung_up_and_stays_there(name: str, backend: str) -> None:
     """Against another mass, friction, weaker motors, delays and losses; the actuated joint comes to
     rest at the end, within its limits."""

@@ -82,7 +82,7 @@ def solve(
     file: Path,
     /,
     *,
-    backend: Literal["osqp", "hpipm"] | None = None,
+    backend: Literal["osqp", "hpipm", "riccati"] | None = None,
     nlp: Annotated[bool, Parameter(negative="--no-nlp")] = True,
     to_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
