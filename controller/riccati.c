@@ -14,10 +14,12 @@
 #include <math.h>
 #include <string.h>
 
+#ifndef WIDTH // of vectors, in bytes
 #ifdef __AVX512F__
 #define WIDTH 64
 #else
 #define WIDTH 32
+#endif
 #endif
 typedef double vec __attribute__((vector_size(WIDTH)));
 typedef long long mask __attribute__((vector_size(WIDTH)));
@@ -531,6 +533,7 @@ static void start(struct memory *m, double product) {
                 vec distance = larger(k ? -off : off, all(START_DISTANCE));
                 side->distance.at[i][v] = distance;
                 side->multiplier.at[i][v] = product / distance;
+                side->distance_step.at[i][v] = side->multiplier_step.at[i][v] = (vec){};
             }
     }
 }
