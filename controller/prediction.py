@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
 from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta, servo_torque
-from headway.models.codegen import Call, compile_functions, named_function
+from headway.models.codegen import Call, compile_functions, compile_mapped, named_function
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
@@ -88,15 +88,17 @@ class Prediction:
         self.law, self.n, self.horizon_knots = law, len(law.kp), horizon_knots
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
-        linearize = interval(equations).map("linearize", "serial", intervals, [3, 4, 5], [])
-        functions = [_step(equations), rollout, linearize, equations.inverse]
-        self._library = compile_functions("machine", functions)
+        library = compile_functions("machine", [_step(equations), rollout, equations.inverse])
+        linearize = compile_mapped("linearize", interval(equations), intervals, [3, 4, 5])
+        self._libraries = {"linearize": linearize} | dict.fromkeys(
+            ("step", "rollout", "inverse"), library
+        )
         self.step, self._inverse = self.call("step"), self.call("inverse")
 
     def call(self, name: str, pool: dict[str, Array] | None = None) -> Call:
         """A function by its name, on arrays of its own or on those of a pool, see `Call`. The servo
         law, which does not change, is no longer among its inputs."""
-        call = Call(self._library, name, pool)
+        call = Call(self._libraries[name], name, pool)
         call.inputs.pop()[...] = self.law.parameters[:, None]
         return call
 
@@ -160,20 +162,39 @@ def _step(equations: Equations) -> ca.Function:
 
 
 def interval(equations: Equations) -> ca.Function:
-    """One driven step, the torque going linearly from u0 to u1, with its Jacobians."""
+    """One driven step, the torque going linearly from u0 to u1, with its Jacobians: the variational
+    equation as in `Equations.along`, with positions' and velocities' halves apart. Half of it is
+    known: a position's rate is the velocity."""
     n = equations.n
     x, d, dt, law = _symbols(n)
     u0, u1 = ca.MX.sym("u0", n), ca.MX.sym("u1", n)
-    by_u0 = ca.horzcat(ca.DM(n, 2 * n), ca.DM.eye(n), ca.DM(n, n))
-    by_u1 = ca.horzcat(ca.DM(n, 3 * n), ca.DM.eye(n))
+    none = ca.DM.zeros(n, n)
 
-    def rate(xs: Any, share: float) -> Any:
-        u, by_u = (1 - share) * u0 + share * u1, (1 - share) * by_u0 + share * by_u1
-        return equations.along(equations.driven_slope(xs[:, 0], u, d, law), xs, by_u)
+    def rate(q: Any, v: Any, by_q: Any, by_v: Any, share: float) -> tuple[Any, Any]:
+        """Accelerations, and their derivatives in [x, u0, u1] (n, 4n) by those of q and v."""
+        u = (1 - share) * u0 + share * u1
+        rates, by_state, by_torque = equations.driven_slope(ca.vertcat(q, v), u, d, law)
+        in_torques = [w * by_torque if w else none for w in (1 - share, share)]
+        if share == 0:  # the derivatives of x in itself
+            return rates[n:], ca.horzcat(by_state, *in_torques)
+        direct = ca.horzcat(none, none, *in_torques)
+        return rates[n:], by_state[:, :n] @ by_q + by_state[:, n:] @ by_v + direct
 
-    start = ca.horzcat(x, ca.DM.eye(2 * n), ca.DM(2 * n, 2 * n))
-    after = ca.densify(runge_kutta(rate, start, 0.0, 0.5, 1.0, dt))
-    parts = ca.horzsplit(after, [0, 1, 1 + 2 * n, 1 + 3 * n, 1 + 4 * n])
+    q, v = x[:n], x[n:]
+    by_q, by_v = (ca.MX(ca.densify(ca.DM.eye(4 * n)[i * n : (i + 1) * n, :])) for i in range(2))
+    at = q, v, by_q, by_v
+    slopes = [(v, by_v, *rate(*at, 0.0))]
+    for ahead, share in ((dt / 2, 0.5), (dt / 2, 0.5), (dt, 1.0)):
+        dq, by_dq, dv, by_dv = slopes[-1]
+        at = q + ahead * dq, v + ahead * dv, by_q + ahead * by_dq, by_v + ahead * by_dv
+        slopes.append((at[1], at[3], *rate(*at, share)))
+    dq, by_dq, dv, by_dv = (
+        dt / 6 * (first + 2 * second + 2 * third + fourth)
+        for first, second, third, fourth in zip(*slopes, strict=True)
+    )
+    after = ca.vertcat(q + dq, v + dv)
+    jacobian = ca.vertcat(by_q + by_dq, by_v + by_dv)
+    parts = ca.horzsplit(jacobian, [0, 2 * n, 3 * n, 4 * n])
     inputs = {"x0": x, "u0": u0, "u1": u1, "assumed": d, "dt": dt, "law": law}
-    outputs = dict(zip(("after", "a", "b0", "b1"), parts, strict=True))
+    outputs = dict(zip(("after", "a", "b0", "b1"), (after, *parts), strict=True))
     return named_function("interval", inputs, outputs)

@@ -8,7 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from headway.models.codegen import Call, cache_dir, compile_functions, named_function
+from headway.models.codegen import (
+    Call,
+    cache_dir,
+    compile_functions,
+    compile_mapped,
+    named_function,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +96,32 @@ def test_functions_share_arrays_by_name(cache: Path) -> None:
         Call(library, "added", {"y": np.zeros((3, 1), order="F")})
 
 
+@pytest.mark.parametrize("count", [1, 7, 8, 19])
+def test_many_columns_at_a_time_are_as_one_by_one(cache: Path, count: int) -> None:
+    """However many there are in a vector, and the last ones of them."""
+    x, y = ca.SX.sym("x", 2, 3), ca.SX.sym("y", 2)
+    root = ca.sqrt(1 + ca.sumsqr(x)) / (2 + ca.cos(y[1]))
+    inner = ca.Function("inner", [x, y], [ca.sin(x) * y[0] - ca.tanh(y[1]), root * -y])
+    a, b, c = ca.MX.sym("a", 2, 3), ca.MX.sym("b", 2), ca.MX.sym("c")
+    first, second = inner(a, b)
+    outputs = {"e": a.T @ first + c, "f": second / c}
+    function = named_function("one", {"a": a, "b": b, "c": c}, outputs)
+    call = Call(compile_mapped("many", function, count, [1]), "many")
+    rng = np.random.default_rng(count)
+    for array in call.inputs:
+        array[...] = rng.uniform(0.5, 2, array.shape)
+    expected = function.map("many", "serial", count, [1], [])(*call.inputs)
+    for found, value in zip(call.run(), expected, strict=True):
+        np.testing.assert_allclose(found, np.array(value), rtol=1e-13)
+
+
+def test_a_sparse_output_of_many_columns_is_refused_by_name(cache: Path) -> None:
+    x = ca.SX.sym("x", 2)
+    library = compile_mapped("many", ca.Function("holey", [x], [ca.diag(x)]), 4, [])
+    with pytest.raises(ValueError, match="many takes or gives a sparse matrix"):
+        Call(library, "many")
+
+
 def test_what_a_library_has_not_is_named(cache: Path) -> None:
     library = compile_functions("poly", [polynomial()])
     with pytest.raises(RuntimeError, match="missing"):
@@ -157,12 +189,15 @@ def test_without_a_compiler_the_error_says_what_to_install(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: str | None
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
-    if named:
-        monkeypatch.setenv("CC", named)
-    else:
-        monkeypatch.delenv("CC", raising=False)
+    for variable in ("CC", "CXX"):
+        if named:
+            monkeypatch.setenv(variable, named)
+        else:
+            monkeypatch.delenv(variable, raising=False)
     with pytest.raises(RuntimeError, match=r"no C compiler found.*sudo apt-get install gcc"):
         compile_functions("poly", [polynomial()])
+    with pytest.raises(RuntimeError, match=r"no C\+\+ compiler found.*sudo apt-get install g\+\+"):
+        compile_mapped("many", polynomial(), 4, [])
     assert not cache.exists() or not list(cache.iterdir())
 
 
