@@ -21,7 +21,7 @@
 #define WIDTH 32
 #endif
 #endif
-typedef double vec __attribute__((vector_size(WIDTH)));
+typedef double vec __attribute__((vector_size(WIDTH), may_alias)); // of what are doubles elsewhere
 typedef long long mask __attribute__((vector_size(WIDTH)));
 
 #define VECTORS(count) (((count) + LANES - 1) / LANES)

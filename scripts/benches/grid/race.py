@@ -45,6 +45,7 @@ class Lane:
         config = self.problem.config(self.intervals, self.knots)
         self.world = World(config, self.problem.machine(), self.seed)
         self._limits, n, mpc = Limits.of(config), len(self.world.q), config.mpc
+        self._driven = list(config.machine.driven)
         self._node_s = np.linspace(0, mpc.horizon_us * 1e-6, self.intervals + 1)
         # The same measure for all grids: that of the shipped one.
         shipped = self.problem.config(SHIPPED, self.knots).mpc
@@ -85,21 +86,22 @@ class Lane:
         error = np.concatenate((world.q, world.v)) - reference
         step = (reply.u[:, 0] - committed) * self._steps
         self.costs.append(float(error**2 @ self._weight + step**2 @ self._step_weight))
-        x, u, speed = reply.x, reply.u, limits.velocity[:, None]
+        x, u, speed = reply.x, reply.u[self._driven], limits.velocity[:, None]
+        v = x[n:][self._driven]
         ahead = x[:n] + limits.approach_s[:, None] * x[n:]
         beyond = np.maximum(ahead - limits.soft_max[:, None], limits.soft_min[:, None] - ahead)
-        change = np.abs(np.diff(x[n:], axis=1)).max(axis=1)
+        change = np.abs(np.diff(v, axis=1)).max(axis=1)
         most = limits.acceleration * (self._node_s[1] - self._node_s[0])
         self.over.append(np.array([
             (np.abs(u) / limits.torque.T).max() - 1,
-            (np.abs(x[n:, 1:]) / speed).max() - 1,
+            (np.abs(v[:, 1:]) / speed).max() - 1,
             (change / most).max() - 1,
             beyond[:, 1:].max(),
-            np.abs(x[n:, -2:]).max(),
+            np.abs(v[:, -2:]).max(),
         ]))  # fmt: skip
         self.active += bool(
             (np.abs(u) > 0.999 * limits.torque.T).any()
-            or (np.abs(x[n:, 1:]) > 0.999 * speed).any()
+            or (np.abs(v[:, 1:]) > 0.999 * speed).any()
             or (beyond[:, 1:] > -1e-4).any()
         )
 

@@ -119,19 +119,22 @@ class Solver:
 
         config, machine = problem.config(intervals, knots), problem.machine()
         self._ocp = of = Ocp(config, Limits.of(config))
-        n, count = of.n, intervals
-        self._n, self._count = n, count
+        n, w_count, count = of.n, len(of.driven), intervals
+        self._n, self._w, self._count = n, w_count, count
         scale_x = of.column_scale[: 2 * n]
-        scale_w = of.column_scale[of.torques][:n]
+        scale_w = of.column_scale[of.torques][:w_count]
         self._scale = np.concatenate((scale_x, scale_w))
 
         ocp, model = AcadosOcp(), AcadosModel()
         made_of = Path(__file__).read_text() + config.model_dump_json() + repr(settings)
         digest = hashlib.sha256(made_of.encode()).hexdigest()[:12]
         model.name = f"{problem.name}_{digest}"
-        x, u, rate = ca.SX.sym("x", 3 * n), ca.SX.sym("u", n), ca.SX.sym("rate", 3 * n)
+        x, u = ca.SX.sym("x", 2 * n + w_count), ca.SX.sym("u", w_count)
+        rate = ca.SX.sym("rate", 2 * n + w_count)
         state, slope = x * self._scale, rate * self._scale
-        q, v, w = state[:n], state[n : 2 * n], state[2 * n :]
+        q, v = state[:n], state[n : 2 * n]
+        w = ca.SX(n, 1)
+        w[of.driven] = state[2 * n :]
         model.x, model.u, model.xdot = x, u, rate
         per_s = model.p = ca.SX.sym("per_s")  # one over the stage's length
         step = u * per_s  # the control is the step over the whole stage, in w's scale
@@ -139,9 +142,11 @@ class Solver:
             motion = ca.vertcat(v, forward_dynamics(machine.tree, q, v, w)) / scale_x
             model.f_expl_expr = ca.cse(ca.vertcat(motion, step))
         else:
+            effort = np.ones(n)
+            effort[of.driven] = scale_w
             needed = inverse_dynamics(machine.tree, q, v, slope[n : 2 * n])
             model.f_impl_expr = ca.vertcat(
-                rate[:n] - v / scale_x[:n], (needed - w) / scale_w, rate[2 * n :] - step
+                rate[:n] - v / scale_x[:n], (needed - w) / effort, rate[2 * n :] - step
             )
         ocp.model = model
         ocp.dims.N = count + 1
@@ -181,13 +186,13 @@ class Solver:
         self._solve = solve
 
     def _costs(self, ocp: Any) -> None:
-        n = self._n
+        w, nx = self._w, 2 * self._n + self._w
         self._hessian = self._ocp.stages()[1]
         cost = ocp.cost
         cost.cost_type = cost.cost_type_e = "LINEAR_LS"
-        cost.Vx, cost.Vu = np.eye(4 * n, 3 * n), np.eye(4 * n, n, -3 * n)
-        cost.W, cost.yref = np.eye(4 * n), np.zeros(4 * n)
-        cost.Vx_e, cost.W_e, cost.yref_e = np.eye(3 * n), np.eye(3 * n), np.zeros(3 * n)
+        cost.Vx, cost.Vu = np.eye(nx + w, nx), np.eye(nx + w, w, -nx)
+        cost.W, cost.yref = np.eye(nx + w), np.zeros(nx + w)
+        cost.Vx_e, cost.W_e, cost.yref_e = np.eye(nx), np.eye(nx), np.zeros(nx)
         soft = len(self._ocp.bounded)
         for name in ("zl", "zu", "zl_e", "zu_e"):
             setattr(cost, name, np.zeros(soft))
@@ -195,17 +200,18 @@ class Solver:
             setattr(cost, name, np.ones(soft))
 
     def _constraints(self, ocp: Any) -> None:
-        n, bounded = self._n, self._ocp.bounded
+        n, w, bounded = self._n, self._w, self._ocp.bounded
         soft, c = len(bounded), ocp.constraints
-        c.x0 = np.zeros(3 * n)
-        c.idxbx, c.lbx, c.ubx = np.arange(n, 3 * n), -np.ones(2 * n), np.ones(2 * n)
-        c.idxbx_e, c.lbx_e, c.ubx_e = np.arange(n, 3 * n), -np.ones(2 * n), np.ones(2 * n)
-        ahead = np.zeros((soft, 3 * n))
+        c.x0 = np.zeros(2 * n + w)
+        boxes = np.append([n + axis for axis in self._ocp.driven], np.arange(2 * n, 2 * n + w))
+        c.idxbx, c.lbx, c.ubx = boxes, -np.ones(2 * w), np.ones(2 * w)
+        c.idxbx_e, c.lbx_e, c.ubx_e = boxes, -np.ones(2 * w), np.ones(2 * w)
+        ahead = np.zeros((soft, 2 * n + w))
         for row, axis in enumerate(bounded):
             ahead[row, axis] = self._scale[axis]
             ahead[row, n + axis] = self._ocp.limits.approach_s[axis] * self._scale[n + axis]
         if soft:
-            c.C, c.D, c.C_e = ahead, np.zeros((soft, n)), ahead
+            c.C, c.D, c.C_e = ahead, np.zeros((soft, w)), ahead
             c.lg = c.lg_e = -np.ones(soft)
             c.ug = c.ug_e = np.ones(soft)
             c.idxsg = c.idxsg_e = np.arange(soft)
@@ -215,7 +221,7 @@ class Solver:
         n, count, solver = self._n, self._count, self._solver
         state, torque, step = self._hessian
         soft = 2 * self._ocp.stages()[2][1][self._ocp.bounded]
-        nothing, last = np.zeros(n), count + 1
+        nothing, last = np.zeros(self._w), count + 1
         for i in range(last + 1):
             node = i - 1
             if i == 0:
@@ -237,14 +243,15 @@ class Solver:
         """As `Ours.prepare`, but that x and u are not free any more."""
         n, count, solver, of = self._n, self._count, self._solver, self._ocp
         scale = self._scale
-        self._d = d
+        driven = of.driven
+        self._d = d[driven]
         low, high = soft_limits(of, x[:n, 0])
         clipped = np.clip(reference[:n], low, high)
         still = np.where(clipped == reference[:n], reference[n:], 0)
         wanted = np.vstack((clipped, still)) / scale[: 2 * n, None]
-        guess = np.vstack((x, u + d[:, None])) / scale[:, None]
-        target = torque_targets(of, holding + d, d) / scale[2 * n :, None]
-        self._committed = (committed + d) / scale[2 * n :]
+        guess = np.vstack((x, (u + d[:, None])[driven])) / scale[:, None]
+        target = torque_targets(of, (holding + d)[driven], d[driven]) / scale[2 * n :, None]
+        self._committed = (committed + d)[driven] / scale[2 * n :]
         first = np.concatenate((guess[: 2 * n, 0], self._committed))
         for i, node in enumerate([0, *range(count + 1)]):
             here = guess[:, node] if i else first
@@ -253,10 +260,10 @@ class Solver:
             if i <= count:
                 after = guess[:, node + 1] if i else guess[:, 0]
                 solver.set(i, "u", after[2 * n :] - here[2 * n :])
-                y.append(np.zeros(n))
+                y.append(np.zeros(self._w))
             solver.set(i, "yref", np.concatenate(y))
             if i:
-                self._bound(i, node, d)
+                self._bound(i, node, d[driven])
             if len(of.bounded):
                 wide = 0.0 if node else FREE
                 solver.constraints_set(i, "lg", low[of.bounded, node] - wide)
@@ -269,11 +276,11 @@ class Solver:
 
     def _bound(self, stage: int, node: int, d: Array) -> None:
         n, limits, scale = self._n, self._ocp.limits, self._scale
-        speed = limits.velocity / scale[n : 2 * n]
+        speed = limits.velocity / scale[n : 2 * n][self._ocp.driven]
         if node == 0:  # it is as it is
-            speed = np.full(n, FREE)
+            speed = np.full(self._w, FREE)
         elif node >= self._count - 1:
-            speed = np.full(n, REST)
+            speed = np.full(self._w, REST)
         torque = limits.torque[node]
         above = np.concatenate((speed, (torque + d) / scale[2 * n :]))
         below = np.concatenate((-speed, (d - torque) / scale[2 * n :]))
@@ -296,7 +303,9 @@ class Solver:
         nodes *= self._scale[:, None]
         iterations = int(solver.get_stats("qp_iter")[-1])
         good = status == 0 and iterations < 30
-        reply = Reply(nodes[: 2 * n], nodes[2 * n :] - self._d[:, None], good, iterations)
+        torques = np.zeros((n, self._count + 1))
+        torques[self._ocp.driven] = nodes[2 * n :] - self._d[:, None]
+        reply = Reply(nodes[: 2 * n], torques, good, iterations)
         for name, of in (("prepare", self._preparation), ("feedback", watch)):
             reply.cpu[name], reply.wall[name] = of.cpu, of.wall
         reply.cpu["linearize"] = reply.wall["linearize"] = self._linearize_us

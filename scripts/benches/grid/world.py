@@ -124,8 +124,9 @@ class World:
             self.d = np.clip(self.d + OBSERVER * off, -0.5 * self.effort, 0.5 * self.effort)
 
     def holding(self, q: Array) -> Array:
-        """Torques (n,) that hold the model there."""
-        return np.array(pin.computeGeneralizedGravity(self._nominal, self._own, q))
+        """Torques (n,) that hold the model there; none on passive axes."""
+        gravity = np.array(pin.computeGeneralizedGravity(self._nominal, self._own, q))
+        return np.where(self.effort > 0, gravity, 0.0)
 
     def move(self, state: Array, begin: Array, end: Array) -> None:
         """A tick long, torques (n,) going from one to another; `state`: as it was measured."""
