@@ -36,7 +36,7 @@ ROUGH = {  # CasADi's operations whose slope says nothing
 class Symbols:
     """What a task's costs are made of, as CasADi expressions; SI.
 
-    q, v (n, 1)       positions and velocities of the joints, in the config's order
+    q, v (n, 1)       positions and velocities of the axes, in the config's order
     target (n, 1)     task.target_rad_or_m
     time_s            of the task, at the node
     share             of the horizon that has passed at the node: 0 to 1
