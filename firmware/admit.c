@@ -2,7 +2,68 @@
 #include "cobs.h" // packets on the byte stream
 #include "command.h"
 #include "happen.h"
+#include "peer.h"
 #include <string.h>
+
+#define SESSION_BYTES 6                     // of a header: up to its session
+#define PEEK_BYTES (1 + FRAME_HEADER_BYTES) // that a header is in: no block before its end is full
+
+// Decodes the beginning of a packet's header alone. The length of each block but the first lies where a zero was.
+static void peek(const uint8_t *packet, int32_t bytes, uint8_t *header) {
+    int32_t left = packet[0]; // of the block
+    for (int32_t i = 1; i <= bytes; i++) {
+        uint8_t byte = packet[i];
+        if (--left == 0) {
+            left = byte;
+            byte = 0;
+        }
+        header[i - 1] = byte;
+    }
+}
+
+static enum admission opens_if(bool good) { return good ? ADMIT_OPEN : ADMIT_BAD; }
+
+static bool is_of(const struct session *session, uint32_t number) {
+    return session->begun && number == session->number;
+}
+
+static const struct session *session_of(const struct device *device, uint32_t number) {
+    if (is_of(&device->session, number))
+        return &device->session;
+    if (is_of(&device->group, number))
+        return &device->group;
+    return is_of(&device->offer.session, number) ? &device->offer.session : 0;
+}
+
+static bool is_for_us(const struct device *device, const uint8_t *packet, int32_t size) {
+    uint8_t header[FRAME_HEADER_BYTES];
+    if (size < COBS_BOUND(FRAME_HEADER_BYTES + FRAME_TAG_BYTES))
+        return false;
+    peek(packet, SESSION_BYTES, header);
+    const struct session *session =
+        session_of(device, header[2] | (uint32_t)header[3] << 8 | (uint32_t)header[4] << 16 |
+                               (uint32_t)header[5] << 24);
+    if (!session)
+        return false;
+    peek(packet, FRAME_HEADER_BYTES, header);
+    return frame_screen(session, header) == FRAME_OK;
+}
+
+enum admission admit_packet(const struct device *device, const uint8_t *packet, int32_t size,
+                            int32_t port, uint32_t count_us) {
+    // Noise ends here, mostly: before the version there is nothing but a block's length.
+    if (size < PEEK_BYTES || packet[0] < 2 || packet[1] != FRAME_VERSION)
+        return ADMIT_BAD;
+    if (port != BOARD_HOST)
+        return opens_if(
+            device->settings.neighbours & 1 << port &&
+            (size == COBS_BOUND(PEER_REQUEST_BYTES) || size == COBS_BOUND(PEER_RESPONSE_BYTES)));
+    if (packet[0] < 3 || packet[2] != FRAME_HELLO)
+        return opens_if(is_for_us(device, packet, size));
+    if (size == COBS_BOUND(HANDSHAKE_BYTES) && count_us - device->offer.looked_us < OFFER_PAUSE_US)
+        return ADMIT_IGNORED;
+    return opens_if(size == COBS_BOUND(HANDSHAKE_BYTES));
+}
 
 // A session with nonces that have never been. False if there is none left in this boot, or if its
 // number is taken: the host asks again.
@@ -27,13 +88,11 @@ void admit_hello(struct device *device, struct board *board, const uint8_t *fram
                  uint32_t count_us) {
     struct offer *offer = &device->offer;
     uint8_t host_nonce[NONCE_BYTES];
+    offer->looked_us = count_us;
     if (!hello_decode(frame, size, host_nonce)) {
         device->status.counters.frames_bad++;
         return;
     }
-    if (count_us - offer->answered_us < OFFER_PAUSE_US)
-        return;
-    offer->answered_us = count_us;
     bool same = offer->session.begun && memcmp(host_nonce, offer->nonces.host, NONCE_BYTES) == 0;
     if (!same && !make_offer(device, board, host_nonce, count_us))
         return;

@@ -31,7 +31,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us) 
     sync_restart(&device->sync);
     device->status.mark.width_us = MARK_OPEN;
     device->next_servo_us = count_us;
-    device->offer.answered_us = count_us - OFFER_PAUSE_US;
+    device->offer.looked_us = count_us - OFFER_PAUSE_US;
     device->brake = true;
     device->trusted = true;
     device->configured =
@@ -149,12 +149,14 @@ static void follow(struct device *device, const struct board *board, int64_t kno
 }
 
 // A status leaves as its knot begins; now and then a little later, at random: servo periods may keep
-// step with a bus, and then each status would wait for its turn there as long as any other.
+// step with a bus, and then each status would wait for its turn there as long as any other. After a
+// step of the clock it waits for the next period, which forgets the samples of the time before.
 void device_report(struct device *device, struct board *board) {
     uint32_t count_us = board_count_us(board);
     if (device->settings.neighbours != 0)
         neighbours_speak(device, board);
-    if (!device->status_waits || (int32_t)(count_us - device->status_us) < 0)
+    if (!device->status_waits || device->sync.stepped ||
+        (int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
     outbox_status(device, board, count_us);
@@ -210,7 +212,6 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
         if (++device->reports % DEVICE_DITHER_EVERY == 0 && device->settings.dither_us != 0)
             device->status_us += (uint32_t)(board_random(board) % device->settings.dither_us);
     }
-    device_report(device, board);
 }
 
 // Dates a mark as soon as it is seen: later the clock would be another one.
@@ -230,10 +231,8 @@ void device_poll(struct device *device, struct board *board) {
         board_set_duty(board, 0);
         return;
     }
-    inbox_empty(device, board);
     uint32_t count_us = board_count_us(board);
     watch_bus(device, board);
-    device_report(device, board);
     int32_t late_us = (int32_t)(count_us - device->next_servo_us);
     if (late_us >= 0) {
         // Missed periods are not made up for: what counts them counts time, such as the brake's.
@@ -242,4 +241,6 @@ void device_poll(struct device *device, struct board *board) {
         device->next_servo_us += device->settings.servo_period_us;
         run_period(device, board, count_us, (uint32_t)late_us);
     }
+    inbox_take(device, board); // after the servo, which waits for nobody
+    device_report(device, board);
 }

@@ -85,7 +85,7 @@ void device_boot(struct device *device, struct board *board, uint32_t count_us);
 // Takes other settings. Nothing may be powered.
 void device_configure(struct device *device, const struct device_settings *settings);
 
-// To be called at least every 250 us: takes what arrived, runs the servo when it is due. Beside it,
+// To be called at least every 250 us: runs the servo when it is due, takes what arrived. Beside it,
 // from an interrupt, comes device_guard (guard.h).
 void device_poll(struct device *device, struct board *board);
 

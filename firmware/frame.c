@@ -46,24 +46,28 @@ static void note(struct session *session, uint64_t counter) {
     session->window |= 1ULL << (session->received - counter);
 }
 
-enum frame_error frame_open(struct session *session, const uint8_t *frame, int32_t size) {
-    if (size < FRAME_HEADER_BYTES + FRAME_TAG_BYTES || size > FRAME_MAX)
-        return FRAME_BAD_LENGTH;
+enum frame_error frame_screen(const struct session *session, const uint8_t *frame) {
     struct reader header = {frame, FRAME_HEADER_BYTES, 0, false};
     if (read_uint(&header, 1) != FRAME_VERSION)
         return FRAME_BAD_VERSION;
     read_uint(&header, 1); // the type, covered by the tag
     if (read_uint(&header, 4) != session->number || !session->begun)
         return FRAME_BAD_SESSION;
-    uint64_t counter = read_uint(&header, 6);
-    if (replayed(session, counter))
-        return FRAME_REPLAYED;
+    return replayed(session, read_uint(&header, 6)) ? FRAME_REPLAYED : FRAME_OK;
+}
+
+enum frame_error frame_open(struct session *session, const uint8_t *frame, int32_t size) {
+    if (size < FRAME_HEADER_BYTES + FRAME_TAG_BYTES || size > FRAME_MAX)
+        return FRAME_BAD_LENGTH;
+    enum frame_error screened = frame_screen(session, frame);
+    if (screened != FRAME_OK)
+        return screened;
     int32_t signed_size = size - FRAME_TAG_BYTES;
     struct reader tag = {frame + signed_size, FRAME_TAG_BYTES, 0, false};
     uint8_t direction = session->send_direction == TO_DEVICE ? TO_HOST : TO_DEVICE;
     if (read_uint(&tag, 8) != siphash24(session->receive_key, direction, frame, signed_size))
         return FRAME_BAD_TAG;
-    note(session, counter);
+    note(session, frame_counter(frame));
     return FRAME_OK;
 }
 

@@ -70,6 +70,9 @@ void session_begin(struct session *session, uint32_t number, enum frame_prefix s
 int32_t frame_seal(struct session *session, enum frame_type type, uint8_t *frame,
                    int32_t payload_size);
 
+// Whether a frame's header may be that of one to accept: what frame_open checks before it hashes.
+enum frame_error frame_screen(const struct session *session, const uint8_t *frame);
+
 // Checks length, version, session and counter before hashing, so that junk stays cheap. Only an
 // authentic frame moves the window. The payload is frame + FRAME_HEADER_BYTES.
 enum frame_error frame_open(struct session *session, const uint8_t *frame, int32_t size);

@@ -230,10 +230,20 @@ static void take(struct device *device, struct board *board, uint8_t *packet, in
         device->status.counters.frames_bad++;
 }
 
-void inbox_empty(struct device *device, struct board *board) {
+void inbox_take(struct device *device, struct board *board) {
     uint8_t packet[COBS_BOUND(FRAME_MAX)]; // decoded in place
     uint32_t arrived_us;
     int32_t size, port;
-    while ((size = board_receive(board, packet, sizeof packet, &port, &arrived_us)) > 0)
-        take(device, board, packet, size, port, arrived_us, board_count_us(board));
+    for (int32_t i = 0; i < INBOX_PACKETS; i++) {
+        size = board_receive(board, packet, sizeof packet, &port, &arrived_us);
+        if (size <= 0)
+            return;
+        uint32_t count_us = board_count_us(board);
+        enum admission admission = admit_packet(device, packet, size, port, count_us);
+        if (admission == ADMIT_OPEN) {
+            take(device, board, packet, size, port, arrived_us, count_us);
+            return;
+        }
+        device->status.counters.frames_bad += admission == ADMIT_BAD;
+    }
 }

@@ -4,7 +4,10 @@
 
 #include "device.h"
 
-// Takes all that has arrived.
-void inbox_empty(struct device *device, struct board *board);
+#define INBOX_PACKETS 12 // looked at in a poll
+
+// Takes what has arrived, up to the first packet that is worth decoding: the servo waits for one at
+// most. The rest waits in the board's queue.
+void inbox_take(struct device *device, struct board *board);
 
 #endif

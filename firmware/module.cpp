@@ -20,6 +20,7 @@ extern "C" {
 #include "device.h"
 #include "gap.h"
 #include "group.h"
+#include "inbox.h"
 #include "wire.h"
 }
 
@@ -828,6 +829,7 @@ NB_MODULE(_core, m) {
     m.attr("FRAME_GROUP") = (int)FRAME_GROUP;
     m.attr("FRAME_SETTINGS") = (int)FRAME_SETTINGS;
     m.attr("FRAME_WINDOW") = FRAME_WINDOW;
+    m.attr("INBOX_PACKETS") = INBOX_PACKETS;
     m.attr("OFFER_PAUSE_US") = OFFER_PAUSE_US;
     m.attr("OFFER_VALID_US") = OFFER_VALID_US;
     m.attr("NAME_MAX") = SETTINGS_NAME_MAX;

@@ -4,8 +4,8 @@
 
 #include "handshake.h"
 
-// From one WELCOME to the next: a flood of HELLOs costs little, and uses up the numbers of one boot
-// in 2.7 years. Longer than a round trip, so that a host that was answered gets its turn.
+// From one HELLO that is looked at to the next: a flood of them costs little, and uses up the numbers
+// of one boot in 2.7 years. Longer than a round trip, so that a host that was answered gets its turn.
 #define OFFER_PAUSE_US 20000
 #define OFFER_VALID_US 1000000 // a host whose first frame comes later says hello again
 
@@ -13,7 +13,7 @@ struct offer {
     struct session session;
     struct nonces nonces;
     uint32_t count; // of offers in this boot
-    uint32_t made_us, answered_us;
+    uint32_t made_us, looked_us;
 };
 
 #endif

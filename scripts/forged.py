@@ -1,8 +1,11 @@
 """Throws frames that nobody with a key has sent at a machine that moves; says what became of them.
 
 forged.py [--long] [--seed N]: 60,000 frames, or a million, to devices and controller. Whoever
-throws them sees all that passes and knows sessions and counters; he has no key. Exits 1 if one was
-taken, if one was not counted, or if the machine followed its reference any worse for it.
+throws them sees all that passes and knows sessions and counters; he has no key. Then floods: 20,000
+a second to each device. Exits 1 if one was taken, if one was not counted, or if the machine
+followed its reference any worse for it; in a flood of true headers it may come to rest.
+
+All in one process and in virtual time.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import argparse
 import sys
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +23,8 @@ from headway.configs.load import load_config
 from headway.controller.live import Live
 from headway.controller.loop import Loop
 from headway.controller.record.recorder import Memory
-from headway.controller.tick import Phase
+from headway.controller.tick import DeviceError, Phase
+from headway.devices.stop import STATES
 from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.sim.plant_clock import PlantClock
@@ -28,6 +33,10 @@ from headway.sim.world import World
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 DURATION_S = 2.0
 ROOM = 12  # frames at once that find room in a board's inbox, beside its controller's
+PATIENCE = 16  # steps in which a board has looked at all of them
+FLOOD_HZ = 20_000  # to a device
+REST_US = 1_000_000  # within which a machine that was let go of rests
+FLOODS = "junk", "version", "forged"
 OLD_US = 100_000  # by then a frame has arrived
 WIRES = ["sim.to_device.loss=0", "sim.to_host.loss=0"]  # what was lost could still be let in
 Seen = deque[tuple[int, bytes]]  # when, what
@@ -79,23 +88,35 @@ def forge(
         return bytes(spoilt)
     if kind == "cross-device":
         return old(other, now_us, rng)
-    return rng.bytes(int(rng.integers(1, 200))).replace(b"\0", b"\1")  # junk
+    junk = rng.bytes(int(rng.integers(1, 200))).replace(b"\0", b"\1")
+    return junk if kind == "junk" else bytes((255, _core.FRAME_VERSION)) + junk
 
 
 KINDS = "forged", "replayed", "reflected", "truncated", "bit-flipped", "cross-device", "junk"
 
 
+@dataclass
+class Handful:
+    """Frames at a device that it has not all refused yet."""
+
+    kind: str
+    device: int
+    before: int  # refused
+    thrown: int = 0
+    steps: int = 0
+
+
 class Siege:
     """A machine in closed loop, in virtual time, and whoever throws frames at it."""
 
-    def __init__(self, frames: int, seed: int) -> None:
-        """`frames`: how many are thrown; 0: none."""
+    def __init__(self, frames: int, seed: int, flood: str | None = None) -> None:
+        """`frames`: how many are thrown, 0: none. `flood`: what comes all the time instead."""
         config = load_config(CONFIGS / "arm2.yaml", [f"duration_s={DURATION_S}", *WIRES])
         self.world = World(config, CONFIGS)
         self._rng = np.random.default_rng(seed)
         self.thrown: Counter[str] = Counter()
         self.counted: Counter[str] = Counter()
-        self._left, self._turn = frames, 0
+        self._left, self._turn, self._flood = frames, 0, flood
         n = len(self.world.remotes)
         self._tap = Wiretap(n)
         self._clock = PlantClock(self.world)
@@ -124,8 +145,11 @@ class Siege:
     def wait_until(self, time_us: int) -> None:
         """Frames are thrown while time passes."""
         while self.now_us() < time_us:
-            if self.live.loop.phase is Phase.RUN and self._left > 0:
-                self._throw()
+            if self.live.loop.phase is Phase.RUN:
+                if self._flood is not None:
+                    self._pour(self._flood)
+                elif self._left > 0 and self._waiting is None:
+                    self._throw()
             self._clock.wait_until(min(self.now_us() + self.world.plant.step_us, time_us))
             self._settle()
             if self.live.loop.phase is Phase.RUN:
@@ -158,20 +182,37 @@ class Siege:
             self.counted[kind] += remote.frames_bad - before
             self._left -= 1
 
+    def _pour(self, kind: str) -> None:
+        """What comes to each device in a step; what finds no room its board counts."""
+        now_us, plant, devices = self.now_us(), self.world.plant, len(self.world.remotes)
+        for device in range(devices):
+            mine, other = self._tap.to_device[device], self._tap.to_device[(device + 1) % devices]
+            for _ in range(FLOOD_HZ * plant.step_us // 1_000_000):
+                back = self._tap.to_host[device]
+                packet = forge(kind, mine, back, other, now_us, self._rng)
+                plant.nodes[device].deliver(plant.true_us, packet)
+                self.thrown[kind] += 1
+
     def _expect(self, kind: str, device: int) -> None:
-        self._waiting = kind, device, self.world.plant.nodes[device].status.frames_bad
+        if self._waiting is None:
+            before = self.world.plant.nodes[device].status.frames_bad
+            self._waiting = Handful(kind, device, before)
+        self._waiting.thrown += 1
         self.thrown[kind] += 1
         self._left -= 1
 
-    _waiting: tuple[str, int, int] | None = None
+    _waiting: Handful | None = None
 
     def _settle(self) -> None:
-        """What the device has made of the last handful."""
+        """What the device has made of the last handful, once it has had the time."""
         if self._waiting is None:
             return
-        kind, device, before = self._waiting
-        self.counted[kind] += self.world.plant.nodes[device].status.frames_bad - before
-        self._waiting = None
+        handful = self._waiting
+        handful.steps += 1
+        refused = self.world.plant.nodes[handful.device].status.frames_bad - handful.before
+        if refused >= handful.thrown or handful.steps == PATIENCE:
+            self.counted[handful.kind] += refused
+            self._waiting = None
 
     def _note_error(self) -> None:
         time_s = (self.now_us() - self.live.loop.start_us) * 1e-6
@@ -182,6 +223,10 @@ class Siege:
     def run(self) -> np.ndarray:
         """Tracking error of each axis, rms [mrad]."""
         self.live.run()
+        return self.errors()
+
+    def errors(self) -> np.ndarray:
+        """Of each axis so far, rms [mrad]."""
         return 1e3 * np.sqrt(np.mean(np.square(self._errors), axis=0))
 
 
@@ -209,6 +254,32 @@ def besiege(frames: int, seed: int, say: Callable[[str], None]) -> list[str]:
     return broken
 
 
+def drown(kind: str, seed: int, say: Callable[[str], None]) -> list[str]:
+    """What broke in a flood; nothing is good. `say` gets what was found."""
+    calm, siege = Siege(0, seed).run(), Siege(0, seed, kind)
+    try:
+        under, told = siege.run(), "to its end"
+    except DeviceError as error:
+        under, told = siege.errors(), f"until {error}"
+    plant = siege.world.plant
+    refused = sum(node.status.frames_bad for node in plant.nodes)
+    dropped = sum(node.dropped for node in plant.nodes)
+    say(
+        f"{FLOOD_HZ} a second, {kind}: {siege.thrown[kind]} thrown, {refused} refused, {dropped} "
+        f"without room; {calm.round(3)} mrad rms without, {under.round(3)} in it, {told}"
+    )
+    broken = []
+    if told != "to its end":
+        plant.step(REST_US // plant.step_us)
+        if not all(STATES[node.state] == "HOLD" for node in plant.nodes):
+            broken.append(f"{kind}: no rest")
+        if kind != "forged":
+            broken.append(f"{kind}: the task did not go on")
+    if np.any(under > 1.1 * calm):
+        broken.append(f"{kind}: the machine followed worse")
+    return broken
+
+
 def main() -> int:
     """Exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -216,6 +287,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     broken = besiege(1_000_000 if options.long else 60_000, options.seed, print)
+    for kind in FLOODS:
+        broken += drown(kind, options.seed, print)
     for what in broken:
         print(f"BROKEN: {what}")
     return 1 if broken else 0

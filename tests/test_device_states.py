@@ -589,13 +589,60 @@ def test_unauthentic_frames_are_counted_and_change_nothing(kind: str) -> None:
     for _ in range(3):
         assert rig.node.deliver(rig.now, packet)
     for r in (rig, twin):
-        r.node.poll(r.now, 0)
+        for _ in range(3):  # a poll opens one packet at most
+            r.node.poll(r.now, 0)
     differing = np.flatnonzero(device_bytes(rig) != device_bytes(twin))
     assert len(differing) == 1  # the counter
     assert device_bytes(rig)[differing[0]] - device_bytes(twin)[differing[0]] == 3
     assert rig.node.status.frames_bad == twin.node.status.frames_bad + 3
     # and it still takes what is authentic
     assert rig.give(first, {POSITION: ramp(10, 0, 40), TORQUE: [0] * 40}) == "accepted"
+
+
+def test_a_poll_opens_one_packet_at_most_and_the_rest_waits() -> None:
+    """However much has arrived, the servo waits for one packet to be opened."""
+    rig = synced_rig()
+    payload = _core.sync_encode((0, 0, 0))
+    wrong = _core.Session(bytes(16), bytes(16), rig.host.number)
+    wrong.sent = rig.host.sent + 5
+    bad = wrong.seal(_core.FRAME_SYNC, payload)
+    before = rig.node.status.frames_bad
+    for _ in range(16):
+        assert rig.node.deliver(rig.now, bad)
+    for opened in range(1, 18):
+        rig.node.poll(rig.now, 0)
+        assert rig.node.status.frames_bad == before + min(opened, 16)
+
+
+@pytest.mark.parametrize("junk", [b"\x01", bytes(30), b"\x28\x01" + bytes(range(1, 200))])
+def test_what_is_not_worth_opening_delays_nothing(junk: bytes) -> None:
+    """A dozen before it, and a plan is taken in the same poll."""
+    rig = synced_rig()
+    first = rig.start(40)
+    before = rig.node.status.frames_bad
+    for _ in range(_core.INBOX_PACKETS - 1):
+        assert rig.node.deliver(rig.now, junk)
+    packet = rig.plan(first, {POSITION: ramp(10, 0, 40), TORQUE: [0] * 40})
+    accepted = rig.node.status.plans_accepted
+    rig.node.deliver(rig.now, packet)
+    rig.node.poll(rig.now, 0)
+    assert rig.node.status.plans_accepted == accepted + 1
+    assert rig.node.status.frames_bad == before + _core.INBOX_PACKETS - 1
+
+
+def test_the_servo_comes_before_what_has_arrived() -> None:
+    """Obeyed in the poll, done by the next servo period: this one's was not kept waiting."""
+    rig = synced_rig().arm()
+    rig.run((BRAKE_PERIODS + 2) * PERIOD_US)
+    assert rig.node.power
+    rig.run(PERIOD_US - POLL_US - rig.now % PERIOD_US)
+    payload = _core.command_encode(99, _core.COMMANDS.index("DISARM"), 0, 0)
+    rig.node.deliver(rig.now + 1, rig.host.seal(_core.FRAME_COMMAND, payload))
+    rig.poll()
+    assert rig.now % PERIOD_US == 0 and rig.state == State.IDLE and rig.node.power
+    rig.period()
+    rig.run(BRAKE_PERIODS * PERIOD_US)
+    assert not rig.node.power
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 """
 
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from scripted import load_script
@@ -18,6 +19,30 @@ def test_none_is_taken_and_each_is_counted() -> None:
     assert forged.besiege(14_000, 5, said.append) == []
     assert len(said) == len(forged.KINDS) + 1
     assert all(int(line.split()[1]) >= 1900 for line in said[: len(forged.KINDS)])
+
+
+@pytest.mark.parametrize("kind", ["version", "forged"])
+def test_a_flood_is_stood(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """20,000 frames a second to each device, for a second: tracking stays within a tenth."""
+    monkeypatch.setattr(forged, "DURATION_S", 1.0)
+    said: list[str] = []
+    assert forged.drown(kind, 3, said.append) == []
+    assert int(said[0].split(": ")[1].split()[0]) > 2 * 20_000
+
+
+def test_a_flood_in_which_nothing_else_passes_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller's frames get lost after half a second: the machine comes to rest."""
+    monkeypatch.setattr(forged, "DURATION_S", 1.0)
+    send = forged.Siege.send
+
+    def lost(siege: Any, device: int, packet: bytes, now_us: int) -> None:
+        if siege.thrown["junk"] < 20_000:
+            send(siege, device, packet, now_us)
+
+    monkeypatch.setattr(forged.Siege, "send", lost)
+    broken = forged.drown("junk", 3, lambda said: None)
+    assert "junk: the task did not go on" in broken
+    assert "junk: no rest" not in broken
 
 
 def test_a_frame_that_is_taken_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

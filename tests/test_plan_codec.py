@@ -237,7 +237,7 @@ AFTER = (
 )
 u8 = st.integers(0, 255)
 u32 = st.integers(0, 2**32 - 1)
-int64s = st.integers(-(1 << 62), 1 << 62)
+int64s = st.integers(-(1 << 62), (1 << 62) - 1)  # of which each difference is one
 int32s = st.integers(-INT32_MAX - 1, INT32_MAX)
 heads = st.tuples(
     *(int64s, u32, int32s, int32s, int32s, int64s, u32),

@@ -19,8 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "cortex"))
 from _report import arguments, finish, goal, table
 from emulator import RAM, SIZE, Emulator, Tally
 from image import compile_firmware, soft_float
-from scene import Scene, is_tick
+from scene import POLL_US, Scene, is_tick
 from tools import HERE, PREFIX, need
+
+from headway.firmware import _core
 
 BUDGET = 1700  # of a servo tick, as it was meant to be
 HELD = 4700  # and what a change may not exceed
@@ -42,6 +44,11 @@ PARTS = {  # of a plan's frame
 }
 REPORTS = ("outbox_status", "outbox_readings")
 DIVISIONS = ("__udivmoddi4", "__divdi3", "__udivdi3", "__aeabi_ldivmod", "__aeabi_uldivmod")
+JUNK_HZ, CLOCK_HZ = 20_000, 125_000_000  # frames to a device, and what its core runs at
+POLLS_HZ = 4000  # the fewest: device.h
+JUNK_SHARE = 0.10  # of all cycles, at most, for them
+JUNK = {"noise": (46, 200), "version right": (47, 200), "header right": (46, 200)}  # bytes
+JUNKS = 16  # of each are thrown
 SEEDS = 64  # inputs of the rivals
 AGREE = {"float": 0.002, "decimal": 0.02}  # of the result, by which rivals may differ
 SCRATCH = RAM + SIZE - 0x8000
@@ -71,6 +78,50 @@ def life(core: Emulator, us: int) -> list[Tally]:
 
 def called(tallies: list[Tally], name: str) -> list[int]:
     return [cycles for tally in tallies for cycles in tally.calls.get(name, [])]
+
+
+def junk(kind: str, size: int, scene: Scene, rng: np.random.Generator) -> bytes:
+    """A packet that nobody with a key has sent."""
+    noise = rng.bytes(size).replace(b"\0", b"\1")
+    if kind == "noise":
+        return noise
+    if kind == "version right":
+        return bytes((size, _core.FRAME_VERSION)) + noise[2:]
+    frame = bytearray(scene.rig.host.seal(_core.FRAME_SYNC, noise[20:]))
+    frame[-1] = frame[-1] % 255 + 1  # of its tag
+    return bytes(frame)
+
+
+def thrown(core: Emulator) -> list[dict[str, Any]]:
+    """What junk costs: cycles for a packet, and the share of all cycles that a flood of it has. Of
+    packets that are opened a poll takes one, the rest waits, and no more than the queue holds."""
+    scene, rng, rows = Scene(), np.random.default_rng(0), []
+    twin = scene.emulate(core)
+    for kind, sizes in JUNK.items():
+        for size in sizes:
+            cycles = []
+            while len(cycles) < JUNKS:
+                scene.run(POLL_US)
+                if twin.tallies[-1].packets > 0:
+                    continue
+                before = twin.status.frames_bad
+                nothing = poll(scene)
+                twin.deliver(scene.rig.now, junk(kind, size, scene, rng))
+                cycles.append(poll(scene) - nothing)
+                if twin.status.frames_bad != before + 1:
+                    raise ValueError(f"{kind} of {size} bytes was not counted")
+            taken_hz = POLLS_HZ if kind == "header right" else JUNK_HZ
+            label = f"junk of {size} bytes, {kind}"
+            rows.append(row(label, cycles) | {"share": taken_hz * max(cycles) / CLOCK_HZ})
+    return rows
+
+
+def poll(scene: Scene) -> int:
+    """Cycles of the inbox in another poll at the same instant, when no servo is due."""
+    rig = scene.rig
+    rig.node.poll(rig.now, rig.encoder(rig.now))
+    tallies: list[Tally] = rig.node.tallies  # type: ignore[attr-defined]
+    return sum(tallies[-1].calls["inbox_take"])
 
 
 def siphash(core: Emulator, size: int) -> int:
@@ -112,11 +163,14 @@ def rivals(file: Path, device: bytes) -> list[dict[str, Any]]:
     return rows
 
 
-def measure(us: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[dict[str, Any]]]:
-    """Cycles, rivals and goals, of so long a life."""
+Rows = list[dict[str, Any]]
+
+
+def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
+    """Cycles, floods of junk, rivals and goals, of so long a life."""
     with tempfile.TemporaryDirectory() as folder:
         image = compile_firmware(Path(folder) / "firmware.elf")
-        core = Emulator(image, ("device_poll", *REPORTS, *KERNELS, *PARTS))
+        core = Emulator(image, ("device_poll", "inbox_take", *REPORTS, *KERNELS, *PARTS))
         tallies = life(core, us)
         ticks = [t for t in tallies if is_tick(t)]
         idle = [t for t in tallies if "servo_step" not in t.calls and t.packets == 0]
@@ -134,6 +188,7 @@ def measure(us: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[d
             row("SipHash of 64 bytes", [siphash(core, 64)]),
         ]
         device = core.read(core.address("the_device"), core.read_u32("the_sizes"))
+        floods = thrown(core)
         others = compile_firmware(Path(folder) / "rivals.elf", [HERE / "rivals.c"])
         compared = rivals(others, device)
         worst = cycles[0]["max"]
@@ -145,17 +200,22 @@ def measure(us: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]], list[d
                 "routines of soft-float in the image", len(soft_float(core.image.symbols)), "<=", 0
             ),
             goal("cycles of 64-bit divisions in all ticks", divided, "<=", 0),
+            *(
+                goal(f"{flood['what']}, {JUNK_HZ}/s [share]", flood["share"], "<=", JUNK_SHARE)
+                for flood in floods
+            ),
         ]
-    return cycles, compared, goals
+    return cycles, floods, compared, goals
 
 
 def main() -> None:
     need(f"{PREFIX}gcc")
     options = arguments(__doc__ or "")
-    cycles, compared, goals = measure(4_000_000 if options.long else 800_000)
+    cycles, floods, compared, goals = measure(4_000_000 if options.long else 800_000)
     table("Cortex-M0+, cycles", cycles)
+    table(f"Junk, cycles a packet; {JUNK_HZ} a second: share of {CLOCK_HZ / 1e6:.0f} MHz", floods)
     table("The same work in other numbers, cycles", compared)
-    finish([*cycles, *compared], goals, options.json)
+    finish([*cycles, *floods, *compared], goals, options.json)
 
 
 if __name__ == "__main__":

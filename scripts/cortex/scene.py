@@ -22,6 +22,7 @@ from headway.sim import _board
 sys.path.insert(0, str(ROOT / "tests"))
 import rig as bench
 
+POLL_US = bench.POLL_US
 POSITION, TORQUE, KP, KI, KD = range(5)
 COUNT_OFFSET = 12_345
 HORIZON = 55  # points of a plan that have not begun, as arm2's have
@@ -89,6 +90,7 @@ class Scene:
         nodes = [(compare, POSITION, 0, 0, 1000), (window, TORQUE, 0, -1000, 1000)]
         payload = _core.logic_encode(1, nodes, [first, first + 1], [], [])
         self.rig.node.deliver(self.rig.now, self.rig.host.seal(_core.FRAME_LOGIC, payload))
+        self.rig.poll()
 
     def _first(self) -> None:
         servo = self.settings.servo
