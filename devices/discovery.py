@@ -10,6 +10,16 @@ from headway.devices.port import Port, PortError
 from headway.firmware import _core
 
 
+def other_version(welcome: bytes) -> str:
+    """What to say of a device that has answered in another version of the protocol."""
+    header = _core.frame_header(welcome)
+    theirs = "another version" if header is None else f"version {header[0]}"
+    return (
+        f"refused: the device speaks {theirs} of the protocol, this program {_core.FRAME_VERSION}: "
+        "give it the firmware of this headway, or use the headway of its firmware"
+    )
+
+
 class Search:
     """Says HELLO at every port and holds each answer against all keys.
 
@@ -64,7 +74,9 @@ class Search:
                 self.found.setdefault(name, port)
                 self.verdicts[port.name] = f"is {name}"
                 return
-            if verdict != "another frame":
+            if verdict == "other version":
+                self.verdicts[port.name] = other_version(packet)
+            elif verdict != "another frame":
                 self.verdicts[port.name] = verdict
 
     def close_others(self) -> None:

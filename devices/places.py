@@ -103,8 +103,9 @@ def open_places(folder: Path, links: Links, udp: bool) -> tuple[list[Port], list
 
 
 def usb_of(path: str) -> str:
-    """Vendor, product and serial number of the USB device behind a serial port; "" for others."""
+    """VENDOR:PRODUCT:SERIAL of the USB device behind a serial port, by any of its names; "" for
+    others."""
     for port in list_ports.comports(include_links=True):
         if port.device == path and port.vid is not None:
-            return f"{port.vid:04x}:{port.pid:04x} {port.serial_number or ''}".strip()
+            return f"{port.vid:04x}:{port.pid:04x}:{port.serial_number or ''}".rstrip(":")
     return ""

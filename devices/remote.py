@@ -75,6 +75,7 @@ class Remote:
         self.statuses = 0  # received in this session
         self.settings: _core.DeviceSettings | None = None  # as it told them, without its key
         self.faults: list[_core.Fault] | None = None  # its log, oldest first
+        self.firmware: int | None = None  # its version, as it told it with them
         self._wanted: bytes | None = None  # settings to be told; b"": those that it has
         self._odometer = Odometer()
         self.signals = Signals()
@@ -115,9 +116,9 @@ class Remote:
     def _answered(self, kind: int, payload: bytes) -> bool:
         """Takes what was asked for besides statuses; False if it is nothing of that."""
         if kind == _core.FRAME_SETTINGS:
-            settings = _core.DeviceSettings.decode(payload)
+            settings = _core.DeviceSettings.decode(payload[:-1])
             if settings is not None:
-                self.settings, self._wanted = settings, None
+                self.settings, self.firmware, self._wanted = settings, payload[-1], None
             return settings is not None
         if kind == _core.FRAME_FAULTS:
             faults = _core.faults_decode(payload)

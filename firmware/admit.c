@@ -51,18 +51,18 @@ static bool is_for_us(const struct device *device, const uint8_t *packet, int32_
 
 enum admission admit_packet(const struct device *device, const uint8_t *packet, int32_t size,
                             int32_t port, uint32_t count_us) {
-    // Noise ends here, mostly: before the version there is nothing but a block's length.
-    if (size < PEEK_BYTES || packet[0] < 2 || packet[1] != FRAME_VERSION)
+    // Noise ends here, mostly: before version and type there is nothing but a block's length.
+    if (size < PEEK_BYTES || packet[0] < 3)
         return ADMIT_BAD;
-    if (port != BOARD_HOST)
-        return opens_if(
-            device->settings.neighbours & 1 << port &&
-            (size == COBS_BOUND(PEER_REQUEST_BYTES) || size == COBS_BOUND(PEER_RESPONSE_BYTES)));
-    if (packet[0] < 3 || packet[2] != FRAME_HELLO)
-        return opens_if(is_for_us(device, packet, size));
-    if (size == COBS_BOUND(HANDSHAKE_BYTES) && count_us - device->offer.looked_us < OFFER_PAUSE_US)
-        return ADMIT_IGNORED;
-    return opens_if(size == COBS_BOUND(HANDSHAKE_BYTES));
+    if (port == BOARD_HOST && packet[2] == FRAME_HELLO && size == COBS_BOUND(HANDSHAKE_BYTES))
+        return count_us - device->offer.looked_us < OFFER_PAUSE_US ? ADMIT_IGNORED : ADMIT_OPEN;
+    if (packet[1] != FRAME_VERSION)
+        return ADMIT_BAD;
+    if (port == BOARD_HOST)
+        return opens_if(packet[2] != FRAME_HELLO && is_for_us(device, packet, size));
+    return opens_if(
+        device->settings.neighbours & 1 << port &&
+        (size == COBS_BOUND(PEER_REQUEST_BYTES) || size == COBS_BOUND(PEER_RESPONSE_BYTES)));
 }
 
 // A session with nonces that have never been. False if there is none left in this boot, or if its

@@ -26,6 +26,7 @@
 #include "sync.h"
 #include "track.h"
 
+#define DEVICE_FIRMWARE 1          // told with the settings; counts up with what a device does
 #define DEVICE_COAST_KNOTS 5       // without an accepted plan for longer, RUNNING becomes COAST
 #define DEVICE_DITHER_EVERY 4      // one status in so many leaves a little later
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale

@@ -57,7 +57,7 @@ void hello_encode(const uint8_t host_nonce[NONCE_BYTES], uint8_t frame[HANDSHAKE
 }
 
 bool hello_decode(const uint8_t *frame, int32_t size, uint8_t host_nonce[NONCE_BYTES]) {
-    if (!whole(frame, size) || frame[0] != FRAME_VERSION || frame[1] != FRAME_HELLO)
+    if (!whole(frame, size) || frame[1] != FRAME_HELLO) // of any version: the answer tells ours
         return false;
     memcpy(host_nonce, frame + 2, NONCE_BYTES);
     return true;

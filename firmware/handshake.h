@@ -15,6 +15,9 @@
 // repeat either, whatever the host's nonce is. What the host's nonce brings: an old WELCOME is of no
 // use. The CRC needs no key, so that a wrong key can be told from line noise. Both frames are as
 // long, so that nobody gets more out of a device than was put in.
+//
+// Both are the same in all versions of the protocol, and a HELLO of any is answered: so either end
+// can say that the other's version is another one.
 #ifndef HEADWAY_HANDSHAKE_H
 #define HEADWAY_HANDSHAKE_H
 

@@ -48,7 +48,8 @@ void outbox_faults(struct device *device, struct board *board) {
 
 void outbox_settings(struct device *device, struct board *board) {
     uint8_t frame[FRAME_MAX];
-    outbox_send(
-        device, board, FRAME_SETTINGS, frame,
-        settings_encode(&device->settings, false, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX));
+    int32_t size =
+        settings_encode(&device->settings, false, frame + FRAME_HEADER_BYTES, FRAME_PAYLOAD_MAX);
+    frame[FRAME_HEADER_BYTES + size++] = DEVICE_FIRMWARE; // the settings are shorter than a payload
+    outbox_send(device, board, FRAME_SETTINGS, frame, size);
 }

@@ -2,15 +2,24 @@
 
 import json
 import os
+import re
+import zlib
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 
+import numpy as np
 import pytest
 from processes import CONFIG, Machine
+from serial.tools.list_ports_common import ListPortInfo
 
 from headway.cli.devices import Room
 from headway.cli.main import main
+from headway.configs.schema import Links
+from headway.devices.discovery import Search
 from headway.devices.keys import draw_key, key_path
+from headway.devices.places import usb_of
+from headway.firmware._core import FRAME_WELCOME, cobs_decode, cobs_encode
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +45,7 @@ def test_the_list(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     rows = listed(machine, capsys)
     assert [row["axis"] for row in rows] == [row["name"] for row in rows] == ["q1", "q2"]
     for row in rows:
-        assert str(row["port"]).startswith("127.0.0.1:") and row["protocol"] == 1
+        assert str(row["port"]).startswith("127.0.0.1:") and row["firmware"] == 1
         assert row["state"] in ("UNSYNCED", "IDLE") and row["faults"] == []
         assert row["frames_bad_there"] == 0
         assert row["frames_bad_here"] in (0, 1, 2)  # a late answer to the search for ports
@@ -75,10 +84,14 @@ def test_a_device_with_another_key_is_told_as_such(
         os.link(key_path(machine.folder / "keys", name), key_path(tmp_path, name))
     draw_key(tmp_path, "q2")
     ports = ["--link", "udp", "--ports", str(machine.folder / "ports")]
-    assert main(["devices", "list", str(CONFIG), "--keys", str(tmp_path), *ports]) == 4
-    told = capsys.readouterr().err
-    assert "q2: no device with this key answers at any port" in told
-    assert "is q1" in told and "wrong key" in told
+    assert main(["devices", "list", str(CONFIG), "--keys", str(tmp_path), *ports, "--json"]) == 4
+    said = capsys.readouterr()
+    assert "q2: no device with this key answers at any port" in said.err
+    assert "is q1" in said.err and "wrong key" in said.err
+    rows = json.loads(said.out)
+    assert [row["axis"] for row in rows] == ["q1", "q2"]
+    assert rows[0]["name"] == "q1" and rows[1]["state"] == "missing"
+    assert main(["devices", "set", str(CONFIG), "--keys", str(tmp_path), *ports]) == 4
 
 
 def test_nobody_is_there(
@@ -88,7 +101,75 @@ def test_nobody_is_there(
     monkeypatch.setattr("headway.cli.linked.PATIENCE_S", 0.1)
     where = ["--keys", str(machine.folder / "keys"), "--ports", str(tmp_path)]
     assert main(["devices", "list", str(CONFIG), *where]) == 4
-    assert "there is no port to ask" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "there is no port to ask" in said.err
+    assert said.out.count("missing") == 2
+
+
+class OtherVersion:
+    """A port at which a device of version 2 answers."""
+
+    name = "other"
+
+    def __init__(self) -> None:
+        self._said: list[bytes] = []
+
+    def write(self, packet: bytes) -> bool:
+        hello = cobs_decode(packet) or b""
+        body = bytes([2, FRAME_WELCOME]) + hello[2:18] + bytes(24)
+        self._said.append(cobs_encode(body + zlib.crc32(body).to_bytes(4, "little")))
+        return True
+
+    def read(self) -> list[bytes]:
+        said, self._said = self._said, []
+        return said
+
+
+def test_a_device_of_another_version_is_refused_in_words() -> None:
+    port = OtherVersion()
+    search = Search([port], {"q1": bytes(16)}, np.random.default_rng(0))  # type: ignore[list-item]
+    search.ask()
+    search.listen()
+    assert search.missing == ["q1"]
+    told = search.verdicts["other"]
+    assert "version 2 of the protocol, this program 1" in told and "firmware" in told
+
+
+BOARD = ListPortInfo("/dev/ttyACM3")
+BOARD.vid, BOARD.pid, BOARD.serial_number = 0x2E8A, 0x000A, "E6614C"
+
+
+def test_usb_identity_of_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    link, plain = ListPortInfo("/dev/headway-E6614C"), ListPortInfo("/dev/ttyS0")
+    link.vid, link.pid, link.serial_number = BOARD.vid, BOARD.pid, BOARD.serial_number
+    bare = ListPortInfo("/dev/ttyACM4")
+    bare.vid, bare.pid = 0x1209, 0x0001
+
+    def comports(include_links: bool) -> list[ListPortInfo]:
+        return [plain, BOARD, bare, *([link] if include_links else [])]
+
+    monkeypatch.setattr("headway.devices.places.list_ports.comports", comports)
+    assert usb_of("/dev/ttyACM3") == usb_of("/dev/headway-E6614C") == "2e8a:000a:E6614C"
+    assert usb_of("/dev/ttyACM4") == "1209:0001"
+    assert usb_of("/dev/ttyS0") == usb_of("127.0.0.1:47001") == usb_of("/dev/pts/3") == ""
+
+
+def test_the_udev_rule_names_ports_as_the_config_looks_for_them() -> None:
+    """One rule, of matches and assignments as udev(7) has them."""
+    text = (CONFIG.parents[1] / "devices" / "60-headway.rules").read_text()
+    (rule,) = [line for line in text.splitlines() if line and not line.startswith("#")]
+    parts = [re.fullmatch(r'([A-Z]+(?:\{\w+\})?)(==|\+=|=)"([^"]*)"', p) for p in rule.split(", ")]
+    assert all(parts)
+    told = {part[1]: (part[2], part[3]) for part in parts if part is not None}
+    assert told["SUBSYSTEM"] == ("==", "tty") and told["SUBSYSTEMS"] == ("==", "usb")
+    assert told["ATTRS{manufacturer}"] == ("==", "Headway")
+    operator, pattern = told["SYMLINK"]
+    assert operator == "+="
+    name = "/dev/" + pattern.replace("%s{serial}", BOARD.serial_number)
+    assert "%" not in name
+    (looked_for,) = Links().serial
+    assert fnmatch(name, looked_for)
+    assert int(told["MODE"][1], 8) & 0o007 == 0
 
 
 def position(machine: Machine, capsys: pytest.CaptureFixture[str], axis: int) -> float:

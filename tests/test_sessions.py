@@ -1,5 +1,6 @@
 """Sessions of a whole device: who is let in, when, and what a group may do."""
 
+import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -205,6 +206,15 @@ def test_wrong_key_and_line_noise_are_told_apart() -> None:
     frame[20] ^= 4
     assert rig.host.welcome(cobs.encode(bytes(frame))) == "line noise"
     assert rig.greet(rig.host) == "ok"
+
+
+def test_a_hello_of_another_version_is_answered_in_ours() -> None:
+    """So that a host of that version can say what is wrong."""
+    rig = Rig()
+    body = bytearray(cobs.decode(rig.host.hello())[:-4])
+    body[0] = 2
+    (packet,) = rig.give(cobs.encode(bytes(body) + zlib.crc32(body).to_bytes(4, "little")))
+    assert cobs.decode(packet)[:2] == bytes([1, _core.FRAME_WELCOME])
 
 
 @pytest.mark.parametrize("bit", range(0, 8 * 46))
@@ -647,8 +657,8 @@ def settings_told(rig: Rig, payload: bytes) -> _core.DeviceSettings:
     rig.frames.clear()
     rig.give(rig.host.seal(_core.FRAME_SETTINGS, payload))
     (answer,) = [body for kind, body in rig.frames if kind == _core.FRAME_SETTINGS]
-    told = _core.DeviceSettings.decode(answer)
-    assert told is not None
+    told = _core.DeviceSettings.decode(answer[:-1])
+    assert told is not None and answer[-1] == 1  # and the version of its firmware
     assert KEY not in answer
     return told
 

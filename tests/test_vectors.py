@@ -324,7 +324,7 @@ def judge_hello_encode(v: Vector) -> str:
 
 def judge_hello_decode(v: Vector) -> str:
     frame = v.bytes("frame")
-    return f"host={frame[2:18].hex()}" if is_whole(frame) and frame[:2] == b"\1\6" else "malformed"
+    return f"host={frame[2:18].hex()}" if is_whole(frame) and frame[1] == 6 else "malformed"
 
 
 def judge_welcome_encode(v: Vector) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 ANSWER_S = 3.0  # for what a device is asked
 LISTEN_S = 1.0  # for clocks and counters
 DRAIN_S = 0.2  # for answers to what was asked more than once
+MISSING = "missing"
 
 HELP = """What is connected, how it is, and the settings that it has.
 
@@ -66,7 +67,8 @@ def list_(config: Path, /, *, where: Place = HERE, to_json: Json = False) -> int
     """Lists the devices of a machine: port, name, firmware, state, clock, faults, counters.
 
     Begins a session with each device that rests, as a controller does; of one that moves, which is
-    somebody else's, it tells only that it is there.
+    somebody else's, it tells only that it is there. Those that do not answer are listed as missing,
+    with what was found at each port, and the exit code is 4.
 
     Example: as a table, and for a script.
 
@@ -80,18 +82,20 @@ def list_(config: Path, /, *, where: Place = HERE, to_json: Json = False) -> int
     to_json
         Prints the same as JSON.
     """
-    with attached(config, where) as room:
+    with attached(config, where, all_of_them=False) as room:
         for remote in room.remotes:
             remote.ask_settings()
             remote.ask("FAULTS")
         room.run(lambda remote: remote.settings is not None and remote.faults is not None)
         room.listen(LISTEN_S)
-        rows = [room.told(i) for i in range(len(room.remotes))]
+        rows = room.rows()
     if to_json:
         print(json.dumps(rows, indent=2))
     else:
         Console().print(_table(rows))
-    return ExitCode.DONE
+    if room.missing:
+        print(room.missing, file=sys.stderr)
+    return ExitCode.DEVICE if room.missing else ExitCode.DONE
 
 
 @devices.command(name="set")
@@ -203,13 +207,15 @@ class Room:
     """The devices of a machine, for as long as they are talked to."""
 
     def __init__(
-        self, config: Config, model: Path, remotes: list[Remote], link: PortLink, clock: WallClock,
-        names: list[str],
+        self, config: Config, model: Path, joints: list[str], remotes: list[Remote],
+        link: PortLink, clock: WallClock, missing: str,
     ) -> None:  # fmt: skip
-        self.config, self.remotes, self._link, self._clock = config, remotes, link, clock
+        """`joints`: of the remotes. `missing`: what to say of the others, if there are any."""
+        self.config, self.joints, self.remotes = config, joints, remotes
         self.model = model  # its file
-        self.joints = [axis.joint for axis in config.machine.axes]
-        self._names = names
+        self._link, self._clock, self.missing = link, clock, missing
+        by_joint = {axis.joint: axis for axis in config.machine.axes}
+        self._axes = [by_joint[joint] for joint in joints]
 
     def index(self, axis: str) -> int:
         """Of an axis, by its joint. Raises Failure."""
@@ -223,7 +229,7 @@ class Room:
         """The board's quanta."""
         from headway.devices.axis import AxisUnits
 
-        return AxisUnits.of(self.config.machine.axes[device], self.config.loop)
+        return AxisUnits.of(self._axes[device], self.config.loop)
 
     def state(self, device: int) -> str:
         """As it told last."""
@@ -237,7 +243,7 @@ class Room:
         status = self.remotes[device].status
         if status is None or not status.homed or not status.samples:
             return None
-        return float(status.samples[-1][1] / self.config.machine.axes[device].counts_per_unit)
+        return float(status.samples[-1][1] / self._axes[device].counts_per_unit)
 
     def run(self, done: Callable[[Remote], bool], patience_s: float = ANSWER_S) -> None:
         """Attends until all are done, or patience is over."""
@@ -275,18 +281,24 @@ class Room:
                 answers[joint] = None
         return verdict(answers, "taken", "a device takes settings at rest with its output off")
 
-    def told(self, device: int) -> dict[str, Any]:
-        """What there is to tell of a device."""
+    def rows(self) -> list[dict[str, Any]]:
+        """What there is to tell of each device of the machine."""
+        return [
+            self._told(self.joints.index(axis.joint))
+            if axis.joint in self.joints
+            else {"axis": axis.joint, "port": None, "usb": "", "state": MISSING}
+            for axis in self.config.machine.axes
+        ]
+
+    def _told(self, device: int) -> dict[str, Any]:
         from headway.devices.places import usb_of
         from headway.devices.stop import REASONS, STATES
-        from headway.firmware import _core
 
         remote, status = self.remotes[device], self.remotes[device].status
         row: dict[str, Any] = {
-            "port": self._names[device],
-            "usb": usb_of(self._names[device]),
             "axis": self.joints[device],
-            "protocol": _core.FRAME_VERSION,
+            "port": self._link.names[device],
+            "usb": usb_of(self._link.names[device]),
             "state": "somebody else's" if status is None else STATES[status.state],
         }
         if status is None:
@@ -295,6 +307,7 @@ class Room:
         faults = remote.faults or []
         return row | {
             "name": remote.settings.name if remote.settings else None,
+            "firmware": remote.firmware,
             "position": self.position(device),
             "synced": status.synced,
             "clock_us": None if clock.least_us is None else [clock.least_us, clock.most_us],
@@ -307,16 +320,20 @@ class Room:
 
 
 @contextmanager
-def attached(path: Path, where: Where) -> Iterator[Room]:
-    """The devices, with a session each where they let us. Raises Failure."""
+def attached(path: Path, where: Where, all_of_them: bool = True) -> Iterator[Room]:
+    """The devices, with a session each where they let us; or those that answer. Raises Failure."""
     linked = Linked(where.link, where.realtime_factor, False, where.keys, where.ports, False)
     linked.check()
     config = changed_config(path, list(where.overrides or []))
     with linked.machine(path, config, []) as reached:
-        remotes, clock = reached.remotes(), WallClock(linked.factor)
-        with reached.link(clock) as link:
+        clock = WallClock(linked.factor)
+        with reached.some(clock) as (link, joints, missing):
+            if missing and all_of_them:
+                raise Failure(ExitCode.DEVICE, missing)
+            remotes = dict(zip(reached.keys.devices, reached.remotes(), strict=True))
             model = (path.parent / config.machine.model).resolve()
-            room = Room(config, model, remotes, link, clock, link.names)
+            ours = [remotes[joint] for joint in joints]
+            room = Room(config, model, joints, ours, link, clock, missing)
             room.run(lambda remote: remote.established)
             yield room
 
@@ -333,18 +350,25 @@ def verdict(answers: dict[str, str | None], done: str, hint: str) -> int:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    heads = ("port", "axis", "name", "protocol", "state", "clock within [us]", "faults",
-             "lost", "bad here", "bad there")  # fmt: skip
-    table = Table(*heads)
+    table = Table("axis")
+    for head, key in (("port", "port"), ("USB", "usb"), ("state", "state")):  # what may be copied
+        longest = max(len(row[key] or "") for row in rows)
+        table.add_column(head, no_wrap=True, min_width=longest)
+    for head in ("name", "firmware", "clock within [us]", "faults", "lost", "bad here",
+                 "bad there"):  # fmt: skip
+        table.add_column(head)
     for row in rows:
         within = row.get("clock_us")
+        faults = row.get("faults")
         table.add_row(
-            f"{row['port']} {row['usb']}".strip(), row["axis"], row.get("name") or "-",
-            str(row["protocol"]), row["state"],
+            row["axis"], row["port"] or "-", row["usb"] or "-", row["state"],
+            row.get("name") or "-", _shown(row, "firmware"),
             "-" if within is None else f"{within[0]:.0f} .. {within[1]:.0f}",
-            ", ".join(row.get("faults", [])) or "none",
-            *(str(row.get(key, "-")) for key in (
-                "frames_lost", "frames_bad_here", "frames_bad_there"
-            )),
+            "-" if faults is None else ", ".join(faults) or "none",
+            *(_shown(row, key) for key in ("frames_lost", "frames_bad_here", "frames_bad_there")),
         )  # fmt: skip
     return table
+
+
+def _shown(row: dict[str, Any], key: str) -> str:
+    return "-" if row.get(key) is None else str(row[key])

@@ -106,13 +106,28 @@ class Reached:
     def link(self, clock: WallClock) -> Iterator[PortLink]:
         """Finds the devices and links them, in real time as far as this computer allows; says what
         it does not. Raises Failure."""
+        ports = find_ports(self.keys, self._open_all, operating_system_rng(), self.alive)
+        with self._over(ports, clock) as link:
+            yield link
+
+    @contextmanager
+    def some(self, clock: WallClock) -> Iterator[tuple[PortLink, list[str], str]]:
+        """The same with those devices that answer: the link, their names in its order, and what was
+        found at each port if one does not answer."""
+        found, said = find_devices(self.keys, self._open_all, operating_system_rng(), self.alive)
+        names = [name for name in self.keys.devices if name in found]
+        with self._over([found[name] for name in names], clock) as link:
+            yield link, names, said
+
+    def _open_all(self) -> tuple[list[Port], list[str]]:
         from headway.devices.places import open_places
+
+        return open_places(self.places, self.config.links, self.linked.kind == "udp")
+
+    @contextmanager
+    def _over(self, ports: list[Port], clock: WallClock) -> Iterator[PortLink]:
         from headway.devices.port_link import PortLink
 
-        def open_all() -> tuple[list[Port], list[str]]:
-            return open_places(self.places, self.config.links, self.linked.kind == "udp")
-
-        ports = find_ports(self.keys, open_all, operating_system_rng(), self.alive)
         with ExitStack() as stack:
             for what in stack.enter_context(claimed(LOOP)) if self.linked.punctual else ():
                 print(what, file=sys.stderr)
@@ -219,9 +234,24 @@ def find_ports(
 ) -> list[Port]:
     """The port of each device, in the order of the keys.
 
-    Opens all ports anew until every device has answered: a plant may just be starting. Raises
-    Failure with what was found at each port, if one does not.
+    Raises Failure with what was found at each port, if a device does not answer.
     """
+    found, said = find_devices(keys, open_all, rng, alive)
+    if said:
+        for port in found.values():
+            port.close()
+        raise Failure(ExitCode.DEVICE, said)
+    return [found[name] for name in keys.devices]
+
+
+def find_devices(
+    keys: Keys,
+    open_all: Callable[[], tuple[list[Port], list[str]]],
+    rng: np.random.Generator,
+    alive: Callable[[], bool],
+) -> tuple[dict[str, Port], str]:
+    """The ports of the devices that answer, by name; and what was found at each port, if not all
+    do. Opens all ports anew until all have answered: a plant may just be starting."""
     from headway.devices.discovery import Search
 
     end_s = time.monotonic() + PATIENCE_S
@@ -230,13 +260,12 @@ def find_ports(
         search = Search(ports, keys.devices, rng)
         if ports:
             search_for(search, ROUND_S, lambda each: each.missing)
-        if not search.missing:
+        if not search.missing or time.monotonic() > end_s or not alive():
             search.close_others()
-            return [search.found[name] for name in keys.devices]
+            said = _not_found(search.missing, search.verdicts, failed) if search.missing else ""
+            return search.found, said
         for port in ports:
             port.close()
-        if time.monotonic() > end_s or not alive():
-            raise Failure(ExitCode.DEVICE, _not_found(search.missing, search.verdicts, failed))
         time.sleep(0.1)
 
 
