@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from headway.configs.axis import Axis
 from headway.devices.axis import AxisUnits
 from headway.firmware import _core
@@ -9,6 +11,7 @@ from headway.firmware import _core
 STATES, REASONS = _core.STATES, _core.REASONS
 IDLE = STATES.index("IDLE")
 MOVING = {STATES.index(name) for name in ("RUNNING", "COAST")}
+LIMIT_MAX_US = 1_000_000  # of sync.limit_us: configs/schema.py
 
 _TEXTS = {
     "HOST": "the host said stop",
@@ -50,6 +53,8 @@ def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int
     if reason == "NONE":
         return "the device came to rest and holds: no plan reached it in time"
     told = words(reason, status.reason_value, status.reason_limit, axis, units, servo_period_us)
+    if reason == "CLOCK":
+        told = f"{told}: {_remedy(status)}"
     return f"the device stopped: {told}"
 
 
@@ -70,3 +75,15 @@ def words(
     if per is not None:
         value, limit = value / per, limit / per
     return _TEXTS[reason].format(value=value, limit=limit, unit=axis.unit)
+
+
+def _remedy(status: _core.Status) -> str:
+    """What to do about a clock that may be off by too much: by what it told, there and now."""
+    worst_us = max(-status.least_error_ns, status.most_error_ns, 1000 * status.reason_value) / 1000
+    if worst_us > LIMIT_MAX_US:
+        return "what it is told of the time contradicts itself (docs/time.md)"
+    room_us = min(math.ceil(2 * worst_us / 100) * 100, LIMIT_MAX_US)
+    return (
+        f"it may be {worst_us:.0f}. Where that is the wire or a busy computer, allow it twice as "
+        f"much: sync.limit_us={room_us}, for the plant and for the controller"
+    )
