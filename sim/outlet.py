@@ -88,10 +88,17 @@ class UdpOutlet:
     did, so that nobody without a key can turn the device's statuses elsewhere.
     """
 
-    def __init__(self, folder: Path, machine: str, device: str, bind: str = LOOPBACK) -> None:
-        """`bind`: the address of this computer at which it can be reached. Raises OSError."""
+    def __init__(
+        self, folder: Path, machine: str, device: str, bind: Address = (LOOPBACK, 0)
+    ) -> None:
+        """`bind`: the address of this computer at which it can be reached, and the port; 0: any
+        that is free. Raises OSError."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((bind, 0))
+        try:
+            self._socket.bind(bind)
+        except OSError:
+            self._socket.close()
+            raise
         self._socket.setblocking(False)
         host, port = self._socket.getsockname()
         self.where = f"{host}:{port}"

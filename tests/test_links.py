@@ -4,8 +4,13 @@ At a twentieth of real time a busy computer's pauses of 20 ms are a millisecond 
 """
 
 import json
+import os
+import shlex
+import socket
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +112,11 @@ def test_it_tracks_over_real_links_as_in_lockstep(tmp_path: Path) -> None:
         (["plant", CONFIG, "--realtime-factor", "nan"], "give 0.01 to 10"),
         (["run", CONFIG, "--link", "udp", "--spawn", "--keys", "k"], "leave --keys and --ports"),
         (["plant", CONFIG, "--keys", "nowhere"], "headway keys"),
+        (["plant", CONFIG, "--keys", "k", "--port", "47001"], "add --link udp"),
+        (
+            ["plant", CONFIG, "--keys", "k", "--link", "udp", "--port", "65535"],
+            "give 1024 to 65534",
+        ),
         (["run", CONFIG, "--link", "udp", "--keys", "nowhere"], "headway keys"),
     ],
 )
@@ -132,3 +142,65 @@ def test_a_folder_that_others_may_write_to_is_no_place_for_ports(
     assert main(["keys", CONFIG, *keys]) == 0
     assert main(["plant", CONFIG, *keys, "--ports", str(folder)]) == 2
     assert "others may write there" in capsys.readouterr().err
+
+
+def free_port() -> int:
+    """The first of two that were free a moment ago."""
+    while True:
+        with (
+            socket.socket(type=socket.SOCK_DGRAM) as one,
+            socket.socket(type=socket.SOCK_DGRAM) as two,
+        ):
+            one.bind(("127.0.0.2", 0))
+            port = int(one.getsockname()[1])
+            with suppress(OSError, OverflowError):
+                two.bind(("127.0.0.2", port + 1))
+                return port
+
+
+def test_a_plant_prints_what_reaches_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its changes, and where it is not at loopback its addresses: those are enough, without its
+    files, on another computer."""
+    keys, elsewhere = ["--keys", str(tmp_path / "keys")], str(tmp_path / "elsewhere")
+    assert main(["keys", CONFIG, *keys]) == 0
+    port = free_port()
+    changes = ["--set", "sync.limit_us=1500", "--set", "sim.to_host.delay_us=3500"]
+    at = ["--link", "udp", "--bind", "127.0.0.2", "--port", str(port)]
+    ports = ["--ports", str(tmp_path / "ports")]
+    plant = start("plant", CONFIG, *at, *keys, *ports, *changes, "--until-eof")
+    assert plant.stdout is not None and plant.stdin is not None
+    lines = [plant.stdout.readline() for _ in range(3)]
+    assert lines[:2] == [f"q1: 127.0.0.2:{port}\n", f"q2: 127.0.0.2:{port + 1}\n"]
+    said = shlex.split(lines[2].removeprefix("to control it: "))
+    assert said[:5] == ["headway", "run", CONFIG, "--link", "udp"]
+    told = [said[i + 1] for i, word in enumerate(said) if word == "--set"]
+    config = load_config(CONFIGS / "arm2.yaml", told)
+    assert config.links.udp == [f"127.0.0.2:{port}", f"127.0.0.2:{port + 1}"]
+    assert config.sync.limit_us == 1500 and config.sim.to_host.delay_us == 3500
+    said[said.index("--ports") + 1] = elsewhere
+    capsys.readouterr()
+    assert main(["devices", "list", *said[2:], "--json"]) == 0
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == ["q1", "q2"]
+    plant.stdin.close()
+    assert plant.wait(PATIENCE_S) == 0
+
+
+def test_the_keys_of_a_killed_run_do_not_stay(tmp_path: Path) -> None:
+    """The plant outlives it, and removes what it has left."""
+    (tmp_path / "tmp").mkdir()
+    run = subprocess.Popen(
+        [*HEADWAY, "run", *TASK, "--link", "udp", "--spawn", "--out", str(tmp_path / "run")],
+        env=os.environ | {"TMPDIR": str(tmp_path / "tmp")},
+        stdout=subprocess.DEVNULL,
+    )
+    end = time.monotonic() + PATIENCE_S
+    while not list((tmp_path / "tmp").glob("headway-*/ports/*.udp")):  # the plant has the keys
+        assert time.monotonic() < end and run.poll() is None
+        time.sleep(0.05)
+    (home,) = (tmp_path / "tmp").glob("headway-*")
+    assert len(list((home / "keys").iterdir())) >= 2
+    run.kill()
+    run.wait()
+    while home.exists():
+        assert time.monotonic() < end, sorted(home.rglob("*"))
+        time.sleep(0.05)

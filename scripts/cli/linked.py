@@ -34,6 +34,7 @@ Factor = Annotated[float, Parameter(name="--realtime-factor")]
 PATIENCE_S = 10.0  # until every device has to have answered
 ROUND_S, ASK_S, LOOK_S = 2.0, 0.2, 0.01
 END_S = 10.0  # for a spawned plant to finish its record
+SCRATCH_KEYS, SCRATCH_PORTS = "keys", "ports"  # in the folder of a spawned plant
 MAIN = "import sys; from headway.cli.main import main; sys.exit(main())"
 
 
@@ -70,10 +71,10 @@ class Linked:
             return
         with ExitStack() as stack:
             home = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-")))
-            keys = _ephemeral(home / "keys", config)
+            keys = _ephemeral(home / SCRATCH_KEYS, config)
             plant = stack.enter_context(_spawned(self, path, changes, home, record))
             yield Reached(
-                self, config, keys, place_folder(home / "ports"), lambda: plant.poll() is None
+                self, config, keys, place_folder(home / SCRATCH_PORTS), lambda: plant.poll() is None
             )
 
 
@@ -303,7 +304,8 @@ def _spawned(
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A plant of our own. It ends with us, however we end."""
     words = ["plant", str(path), "--link", linked.kind, "--realtime-factor", str(linked.factor)]
-    words += ["--keys", str(home / "keys"), "--ports", str(home / "ports"), "--until-eof"]
+    words += ["--keys", str(home / SCRATCH_KEYS), "--ports", str(home / SCRATCH_PORTS)]
+    words += ["--until-eof", "--scratch", str(home)]
     words += [] if record is None else ["--record", str(record)]
     words += [word for change in changes for word in ("--set", change)]
     process = subprocess.Popen(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,11 +17,19 @@ from cyclopts import Parameter
 from headway.cli.changes import Changes, changed_config
 from headway.cli.claim import PLANT, claimed
 from headway.cli.failure import ExitCode, Failure
-from headway.cli.linked import Factor, Kind, check_factor, machine_keys, place_folder
+from headway.cli.linked import (
+    SCRATCH_KEYS,
+    SCRATCH_PORTS,
+    Factor,
+    Kind,
+    check_factor,
+    machine_keys,
+    place_folder,
+)
 from headway.cli.stopping import Stoppable, signals_stop
 from headway.cli.wall import WallClock
 
-LOOPBACK = "127.0.0.1"
+LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 
 if TYPE_CHECKING:
     from headway.configs.schema import Config
@@ -35,10 +46,12 @@ def plant(
     keys: Path | None = None,
     ports: Path | None = None,
     bind: str = LOOPBACK,
+    port: int = 0,
     record: Path | None = None,
     seed: int | None = None,
     overrides: Changes = None,
     until_eof: Annotated[bool, Parameter(negative=())] = False,
+    scratch: Path | None = None,
 ) -> int:
     """Runs a machine's devices and its simulated mechanics, for controllers in other processes.
 
@@ -70,6 +83,8 @@ def plant(
     bind
         The address of this computer at which UDP devices can be reached. Default: loopback, which
         is this computer alone.
+    port
+        The UDP port of the first device; the next ones follow it. Default: any that are free.
     record
         A file for the plant's own account, as run.mcap has it: truth and servos, every
         millisecond, while an output is on. It must not exist yet.
@@ -79,19 +94,27 @@ def plant(
         Changes one key of the config; may be repeated.
     until_eof
         Ends when standard input does: with whoever started it.
+    scratch
+        The folder that `headway run --spawn` has made for keys and ports: removed at the end, since
+        whoever made it may have been killed.
     """
     check_factor(realtime_factor)
     changes = list(overrides or []) + ([] if seed is None else [f"seed={seed}"])
     checked = changed_config(config, changes)
+    _check_port(port, link, len(checked.machine.axes))
     devices = machine_keys(checked, config, keys)
     folder = place_folder(ports)
     if bind != LOOPBACK and link != "udp":
         raise Failure(ExitCode.USAGE, f"--bind {bind}: ptys are not bound: add --link udp")
     with ExitStack() as stack:
+        if scratch is not None:
+            stack.callback(remove_scratch, scratch)
         recording = _record(record, checked, config.parent, stack)
         outlets = [
-            stack.enter_context(outlet_at(link, folder, checked.name, axis.joint, bind))
-            for axis in checked.machine.axes
+            stack.enter_context(
+                outlet_at(link, folder, checked.name, axis.joint, bind, port and port + number)
+            )
+            for number, axis in enumerate(checked.machine.axes)
         ]
         from headway.sim.plant import UnstableError
         from headway.sim.realtime import Realtime
@@ -111,7 +134,9 @@ def plant(
             )
         for axis, outlet in zip(checked.machine.axes, outlets, strict=True):
             print(f"{axis.joint}: {outlet.where}")
-        print(f"to control it: {_command(config, link, realtime_factor, keys, ports)}", flush=True)
+        addresses = [] if bind == LOOPBACK else [_reachable(outlet.where) for outlet in outlets]
+        words = _command(config, link, realtime_factor, keys, ports, list(overrides or []))
+        print(f"to control it: {shlex.join(words + _elsewhere(addresses))}", flush=True)
         if until_eof:
             stop_at_eof(machine)
         try:
@@ -132,6 +157,14 @@ def plant(
     return ExitCode.DONE
 
 
+def remove_scratch(folder: Path) -> None:
+    """Removes what `headway run --spawn` has put there, and the folder, unless there is more."""
+    for name in (SCRATCH_KEYS, SCRATCH_PORTS):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
 def stop_at_eof(what: Stoppable) -> None:
     """Sees to it that something stops with whoever has started this process."""
 
@@ -145,7 +178,7 @@ def stop_at_eof(what: Stoppable) -> None:
 
 @contextmanager
 def outlet_at(
-    link: Kind, folder: Path, machine: str, device: str, bind: str = LOOPBACK
+    link: Kind, folder: Path, machine: str, device: str, bind: str = LOOPBACK, port: int = 0
 ) -> Iterator[Outlet]:
     """A place at which a device can be reached, while it is needed. Raises Failure."""
     from headway.sim.outlet import PtyOutlet, UdpOutlet
@@ -155,9 +188,10 @@ def outlet_at(
         if link == "serial":
             outlet = PtyOutlet(folder, machine, device)
         else:
-            outlet = UdpOutlet(folder, machine, device, bind)
+            outlet = UdpOutlet(folder, machine, device, (bind, port))
     except OSError as error:
-        reason = f"{device}: no port can be offered in {folder}: {error.strerror}"
+        where = f"at {bind}:{port}" if port else f"in {folder}"
+        reason = f"{device}: no port can be offered {where}: {error.strerror}"
         raise Failure(ExitCode.USAGE, reason) from error
     try:
         yield outlet
@@ -181,11 +215,36 @@ def _record(path: Path | None, config: Config, base: Path, stack: ExitStack) -> 
         raise Failure(ExitCode.USAGE, f"--record {path}: {error.strerror}") from error
 
 
-def _command(config: Path, link: Kind, factor: float, keys: Path | None, ports: Path | None) -> str:
-    import shlex
+def _check_port(port: int, link: Kind, devices: int) -> None:
+    """Raises Failure."""
+    if port and link != "udp":
+        raise Failure(ExitCode.USAGE, f"--port {port}: ptys have none: add --link udp")
+    if port and not 1024 <= port <= 65536 - devices:
+        raise Failure(
+            ExitCode.USAGE,
+            f"--port {port}: give 1024 to {65536 - devices}, the first of {devices} ports; or leave"
+            " it out for any that are free",
+        )
 
+
+def _command(
+    config: Path, link: Kind, factor: float, keys: Path | None, ports: Path | None,
+    changes: list[str],
+) -> list[str]:  # fmt: skip
+    """The words that control this plant from this computer."""
     words = ["headway", "run", str(config), "--link", link]
     words += [] if factor == 1 else ["--realtime-factor", f"{factor:g}"]
     words += [] if keys is None else ["--keys", str(keys)]
     words += [] if ports is None else ["--ports", str(ports)]
-    return shlex.join(words)
+    return words + [word for change in changes for word in ("--set", change)]
+
+
+def _reachable(where: str) -> str:
+    """An address as others have it: by this computer's name, if it is bound to all it has."""
+    host, _, port = where.rpartition(":")
+    return f"{socket.gethostname() if host == EVERYWHERE else host}:{port}"
+
+
+def _elsewhere(addresses: list[str]) -> list[str]:
+    """What a controller has to be told besides on another computer, which has no files of ours."""
+    return ["--set", f"links.udp=[{', '.join(addresses)}]"] if addresses else []
