@@ -30,8 +30,8 @@ enum frame_type {
     FRAME_FAULTS, // the fault log, on demand
     FRAME_HELLO,
     FRAME_WELCOME,
-    FRAME_GROUP,          // the key of a machine's group, see group.h
-    FRAME_SETTINGS,       // from the host: new ones, or none to ask; from the device: its own, its firmware
+    FRAME_GROUP,    // the key of a machine's group, see group.h
+    FRAME_SETTINGS, // from the host: new ones, or none to ask; from the device: its own, its firmware
     FRAME_STAMP_REQUEST,  // between neighbours, see peer.h
     FRAME_STAMP_RESPONSE, //
     FRAME_SIGNALS,        // pieces for tracks, see batch.h
