@@ -833,7 +833,7 @@ static void read_outbox(struct host *host, struct board *board, struct tally *ta
             host->mark = status.mark;
             tally->statuses++;
         } else if (parcel->bytes[1] == FRAME_SETTINGS) {
-            PROMISE(settings_decode(payload, size, false, &settings));
+            PROMISE(settings_decode(payload, size - 1, false, &settings)); // then the firmware
             PROMISE(settings_valid(&settings));
             tally->settings++;
         } else {
