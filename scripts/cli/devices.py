@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -250,6 +250,14 @@ class Room:
         end_us = self._clock.now_us() + round(patience_s * 1e6)
         while not all(done(r) for r in self.remotes) and self._clock.now_us() < end_us:
             self.listen(0)
+
+    def ask(self, devices: Sequence[int], kind: str, argument: int = 0) -> dict[str, str | None]:
+        """Has these carry out a command; tells what they answered, by joint, None for nothing."""
+        asked = [self.remotes[i] for i in devices]
+        for remote in asked:
+            remote.ask(kind, argument)
+        self.run(lambda remote: remote not in asked or remote.answer() is not None)
+        return {self.joints[i]: self.remotes[i].answer() for i in devices}
 
     def listen(self, seconds: float) -> None:
         """Attends for a while, or for one knot."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,10 +76,9 @@ def stop(config: Path, /, *, where: Place = HERE) -> int:
         The YAML file of a machine.
     """
     with attached(config, where) as room:
-        for remote in room.remotes:
-            remote.ask("STOP")
-        room.run(lambda remote: remote.answer() is not None)
-        return verdict(_released(room, list(range(len(room.remotes)))), "at rest, off", "")
+        every = range(len(room.remotes))
+        room.ask(every, "STOP")
+        return verdict(_released(room, every), "at rest, off", "")
 
 
 @devices.command
@@ -97,18 +98,13 @@ def clear(config: Path, /, *, where: Place = HERE, axis: Only = None) -> int:
     """
     with attached(config, where) as room:
         room.run(lambda remote: remote.status is not None)
-        latched = [i for i, r in enumerate(room.remotes) if room.state(i) in ("FAULT", "ESTOP")]
+        latched = [i for i in range(len(room.remotes)) if room.state(i) in ("FAULT", "ESTOP")]
         chosen = latched if axis is None else [room.index(axis)]
-        for i in chosen:
-            room.remotes[i].ask("CLEAR")
-        asked = [room.remotes[i] for i in chosen]
-        room.run(lambda remote: remote not in asked or remote.answer() is not None)
+        answers = room.ask(chosen, "CLEAR")
         if not chosen:
             print("no device is latched")
-        return verdict(
-            {room.joints[i]: room.remotes[i].answer() for i in chosen}, "cleared",
-            "CAUSE: it is still there (`headway devices faults`); MOVING: its output is on yet",
-        )  # fmt: skip
+        hint = "CAUSE: it is still there (`headway devices faults`); MOVING: its output is on yet"
+        return verdict(answers, "cleared", hint)
 
 
 @devices.command
@@ -135,12 +131,9 @@ def zero(config: Path, axis: str, position: float = 0.0, /, *, where: Place = HE
         count = round(position * room.config.machine.axes[i].counts_per_unit)
         if not -(2**31) <= count < 2**31:
             raise Failure(ExitCode.USAGE, f"{position}: is beyond what the encoder counts")
-        room.remotes[i].ask("ZERO", count)
-        room.run(lambda r: r is not room.remotes[i] or r.answer() is not None)
-        return verdict(
-            {axis: room.remotes[i].answer()}, f"at {position:g}",
-            "a device takes it at rest with its output off",
-        )  # fmt: skip
+        answers = room.ask([i], "ZERO", count)
+        hint = "a device takes it at rest with its output off"
+        return verdict(answers, f"at {position:g}", hint)
 
 
 @devices.command
@@ -167,7 +160,7 @@ def home(config: Path, axis: str, /, *, where: Place = HERE) -> int:
         with _armed(room, i):
             _asked(room, i, "HOME")
             room.run(lambda r: r is not remote or _found(r) or _stopped(room, i), most_s)
-        found = remote.status is not None and remote.status.homed and not _stopped(room, i)
+        found = _found(remote) and not _stopped(room, i)
         return verdict({axis: "DONE" if found else "found no mark"}, "homed", "")
 
 
@@ -244,44 +237,35 @@ def _log(room: Room, device: int) -> list[dict[str, Any]]:
     ]
 
 
-class _armed:
+@contextmanager
+def _armed(room: Room, device: int) -> Iterator[None]:
     """One device with its load taken; switched off at the end, at rest, whatever happens."""
-
-    def __init__(self, room: Room, device: int) -> None:
-        self._room, self._device = room, device
-
-    def __enter__(self) -> None:
-        room, device = self._room, self._device
-        remote = room.remotes[device]
-        room.run(lambda r: r is not remote or room.state(device) != "UNSYNCED", SETTLE_S)
-        if room.state(device) == "HOLD":  # it has its load already
-            _asked(room, device, "RESUME")
-        else:
-            _asked(room, device, "ARM", _holding(room, device))
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:
-            self._room.remotes[self._device].ask("STOP")
-            self._room.listen(0.2)
-        answers = _released(self._room, [self._device])
-        if kind is None and answers[self._room.joints[self._device]] is None:
-            raise Failure(ExitCode.DEVICE, "it does not switch off: see `headway devices list`")
+    remote = room.remotes[device]
+    room.run(lambda r: r is not remote or room.state(device) != "UNSYNCED", SETTLE_S)
+    if room.state(device) == "HOLD":  # it has its load already
+        _asked(room, device, "RESUME")
+    else:
+        _asked(room, device, "ARM", _holding(room, device))
+    try:
+        yield
+    except BaseException:
+        remote.ask("STOP")
+        room.listen(0.2)
+        _released(room, [device])
+        raise
+    if _released(room, [device])[room.joints[device]] is None:
+        raise Failure(ExitCode.DEVICE, "it does not switch off: see `headway devices list`")
 
 
 def _asked(room: Room, device: int, kind: str, argument: int = 0) -> None:
     """Raises Failure if the device does not do it."""
-    remote = room.remotes[device]
-    remote.ask(kind, argument)
-    room.run(lambda r: r is not remote or r.answer() is not None)
-    if remote.answer() != "DONE":
-        raise Failure(
-            ExitCode.DEVICE,
-            f"{room.joints[device]}: {kind} gave {remote.answer() or 'no answer'}, in "
-            f"{room.state(device)}",
-        )
+    ((joint, answer),) = room.ask([device], kind, argument).items()
+    if answer != "DONE":
+        state = room.state(device)
+        raise Failure(ExitCode.DEVICE, f"{joint}: {kind} gave {answer or 'no answer'}, in {state}")
 
 
-def _released(room: Room, chosen: list[int]) -> dict[str, str | None]:
+def _released(room: Room, chosen: Sequence[int]) -> dict[str, str | None]:
     """Switches devices off, once each of them rests."""
     for _ in range(20):
         for i in chosen:
