@@ -99,6 +99,12 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
         axis(0, stop_deceleration_rad_per_s2=25),
         {"stop: effort for its deceleration": "warn"},
     ),
+    (axis(0, soft_min_rad=-2.79, soft_max_rad=2.79), {}),
+    (
+        axis(0, soft_min_rad=-2.79, soft_max_rad=2.79, stop_deceleration_rad_per_s2=5),
+        {"soft limits: speed with room to stop behind them": "warn"},
+    ),
+    (axis(0, soft_min_rad=-2.79, stop_deceleration_rad_per_s2=5), {}),
     (("machine.axes.0.motor.gear=31",), {"board: motor as in the model": "FAIL"}),
     (
         ("machine.axes.0.servo.ki_Nm_per_rad_s=1e-9",),
@@ -185,7 +191,8 @@ def test_bodies_that_touch_on_the_way(planar3: Path, tmp_path: Path) -> None:
 def test_a_rule_has_a_case() -> None:
     named = {name for _, broken in ARM2_CASES + PLANAR3_CASES for name in broken}
     named.add("task: bodies that touch on the way")
-    assert {rule.name.split(",")[0] for rule in rules_of(ARM2)} == {n.split(",")[0] for n in named}
+    rules = rules_of(ARM2, *axis(0, soft_min_rad=-2.5, soft_max_rad=2.5))
+    assert {rule.name.split(",")[0] for rule in rules} == {n.split(",")[0] for n in named}
 
 
 @pytest.mark.parametrize("name", ["arm2", "arm2-fast", "arm6"])

@@ -9,7 +9,8 @@ from scipy.interpolate import make_interp_spline
 
 from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
 from headway.cli.rules.subject import Subject
-from headway.controller.ocp import HULL_SHARE, Limits
+from headway.controller.ocp import APPROACH_S, HULL_SHARE, Limits
+from headway.controller.ocp import STOP_SHARE as DECELERATION_SHARE
 from headway.controller.reference import Custom
 
 EFFORT_SHARE = 0.85  # of the limit; what is left corrects what the model does not know
@@ -26,6 +27,7 @@ def task_rules(subject: Subject) -> Iterator[Rule]:
     yield _model_range(subject)
     yield _contacts(subject)
     yield from _hull(subject)
+    yield from _soft_limits(subject)
     yield _effort(subject)
     yield _holding_start(subject)
     yield _holding(subject)
@@ -127,6 +129,34 @@ def _hull(subject: Subject) -> Iterator[Rule]:
             )
             for i, axis in subject.driven.items()
         )
+
+
+def _soft_limits(subject: Subject) -> Iterator[Rule]:
+    """Between two soft limits a plan is as fast as its distance to one over APPROACH_S; the device
+    takes it if the axis could stop before the hard limit behind it."""
+    rules = []
+    for i, axis in subject.driven.items():
+        if axis.soft_min is None or axis.soft_max is None:
+            continue
+        behind = min(axis.soft_min - axis.lowest, axis.highest - axis.soft_max)
+        slowing = DECELERATION_SHARE * axis.deceleration
+        lead = slowing * APPROACH_S
+        rules.append(
+            at_most(
+                "soft limits: speed with room to stop behind them",
+                float(np.abs(subject.motion.velocity[:, i]).max()),
+                float(lead + np.sqrt(lead**2 + 2 * slowing * behind)),
+                f"{axis.unit}/s",
+                f"plans that bring {axis.joint} near a soft limit faster than that are refused: "
+                f"move its soft limits away from the position limits, raise "
+                f"{axis.key('stop_deceleration')}, or leave one soft limit out, for plans that "
+                "slow down earlier",
+                axis.joint,
+                fail=np.inf,
+            )
+        )
+    if rules:
+        yield worst(rules)
 
 
 def _effort(subject: Subject) -> Rule:
