@@ -188,9 +188,9 @@ class Gains:
         `track` gives the track of a driven axis, by its place among those, and of a sink.
         """
         n, driven = len(self._law.kp), self._driven
-        values = self._configured.repeat(len(times_us), axis=0)
         if not self.sinks:
-            return values
+            return np.broadcast_to(self._configured, (len(times_us), 2 * n))
+        values = self._configured.repeat(len(times_us), axis=0)
         sinks, width = (core.TRACK_KP, core.TRACK_KD), len(driven)
         tracks = [track(i, sink) for sink in sinks for i in range(width)]
         points = np.empty((len(times_us), 2 * width))

@@ -287,7 +287,7 @@ class Loop:
 
     def _wanted_from(self, commit_knot: int) -> Array:
         """The reference at the nodes of the horizon that begins there: states (N+1, 2n)."""
-        return np.hstack(self._reference.at(self._node_s(commit_knot))[:2])
+        return np.concatenate(self._reference.at(self._node_s(commit_knot))[:2], axis=1)
 
     def _node_s(self, commit_knot: int) -> Array:
         """Times of the task at the nodes of the horizon that begins there."""

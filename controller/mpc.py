@@ -67,7 +67,7 @@ class Mpc:
         """
         began = time.perf_counter()
         self._along, nodes, self._assumed = guess.position, self._nodes, disturbance
-        x = np.hstack((guess.position[nodes], guess.velocity[nodes])).T
+        x = np.concatenate((guess.position[nodes], guess.velocity[nodes]), axis=1).T
         self._gravity = self._prediction.holding(guess.position[-1], np.zeros_like(disturbance))
         self.program.prepare(x, guess.torque[nodes].T, disturbance, node_s)
         self._prepare_us = (time.perf_counter() - began) * 1e6

@@ -89,9 +89,9 @@ class Sines:
         self._angular = 2 * np.pi * task.frequency_Hz * self._harmonic
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        angle = np.outer(time_s, self._angular) + self._phase
+        angle = time_s[:, None] * self._angular + self._phase
         sine, cosine = np.sin(angle), np.cos(angle)
-        position = self._offset + self._amplitude * sine + np.outer(time_s, self._rate)
+        position = self._offset + self._amplitude * sine + time_s[:, None] * self._rate
         velocity = self._amplitude * self._angular * cosine + self._rate
         return position, velocity, -self._amplitude * self._angular**2 * sine
 

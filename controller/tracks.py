@@ -324,11 +324,10 @@ class Commitment:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
         w, n = len(self._driven), len(near)
-        position, torque = (
-            [remote.track(sink) for remote in self._remotes]
-            for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
-        )
-        moved = np.empty((len(times_us), 3 * w))
+        position = [remote.track(core.TRACK_POSITION) for remote in self._remotes]
+        torque = [remote.track(core.TRACK_TORQUE) for remote in self._remotes]
+        values = np.zeros((len(times_us), TRACK_ROWS * n))
+        moved = values[:, : 3 * n] if w == n else np.empty((len(times_us), 3 * w))
         r, rate, f = moved[:, :w], moved[:, w : 2 * w], moved[:, 2 * w :]
         core.evaluate_tracks(position, times_us, self._shift, r, rate)
         core.evaluate_tracks(torque, times_us, self._shift, f)
@@ -336,12 +335,9 @@ class Commitment:
             at = near[self._driven[i]]
             r[:, i] = self._units[i].unwrapped(r[:, i].astype(np.int32), at)
         moved *= self._quanta
-        feedback = self._gains.feedback(self._track, times_us)
-        if w == n:
-            return np.hstack((moved, feedback))
-        values = np.zeros((len(times_us), TRACK_ROWS * n))
-        values[:, [row * n + axis for row in range(3) for axis in self._driven]] = moved
-        values[:, 3 * n :] = feedback
+        if w != n:
+            values[:, [row * n + axis for row in range(3) for axis in self._driven]] = moved
+        values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
         return values
 
     def _track(self, axis: int, sink: int) -> core.Track:

@@ -50,8 +50,9 @@ class RemoteClock:
     """What statuses say of a device's clock."""
 
     def __init__(self) -> None:
-        # When it was received and when what it heard was sent; least, most; round trip.
-        self._window: deque[tuple[int, int, int, float, int]] = deque()
+        # When it was received; least and most, as they would be at `_base_us`; round trip.
+        self._window: deque[tuple[int, float, float, int]] = deque()
+        self._base_us: int | None = None
         self._status: _core.Status | None = None
 
     def note(self, status: _core.Status, received_us: int) -> None:
@@ -64,9 +65,12 @@ class RemoteClock:
             age_us, heard_us = status.heard_age_us, status.heard_us
             least = status.sent_us - received_us - 1
             most = status.sent_us - age_us - heard_us + 2 + SLEW_PPM * 1e-6 * age_us
-            self._window.append(
-                (received_us, heard_us, least, most, received_us - heard_us - age_us)
-            )
+            # They blur from then on, all at one rate: which is the tightest does not change.
+            if self._base_us is None:
+                self._base_us = heard_us
+            blur = RATE_PPM * 1e-6 * (heard_us - self._base_us)
+            trip = received_us - heard_us - age_us
+            self._window.append((received_us, least + blur, most - blur, trip))
         self._forget(received_us)
 
     def _forget(self, now_us: int) -> None:
@@ -78,13 +82,12 @@ class RemoteClock:
         self._forget(now_us)
         status = self._status
         measured = offset = trip = None
-        if self._window:
-            blur = [RATE_PPM * 1e-6 * (now_us + 1 - heard_us) for _, heard_us, *_ in self._window]
-            pairs = list(zip(self._window, blur, strict=True))
-            least = max(least - b for (_, _, least, _, _), b in pairs)
-            most = min(most + b for (_, _, _, most, _), b in pairs)
+        if self._window and self._base_us is not None:
+            blur = RATE_PPM * 1e-6 * (now_us + 1 - self._base_us)
+            _, leasts, mosts, trips = zip(*self._window, strict=True)
+            least, most = max(leasts) - blur, min(mosts) + blur
             measured, offset = (least, most), (least + most) / 2
-            trip = min(trip for *_, trip in self._window)
+            trip = min(trips)
         if status is None:
             return ClockState(False, None, None, None, None, 0.0, None, 0)
         known = status.least_error_ns > -UNKNOWN_NS and status.most_error_ns < UNKNOWN_NS

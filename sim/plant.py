@@ -55,8 +55,9 @@ class Plant:
         self._vary(machine, config)
         self.data = mujoco.MjData(self.model)
         self.step_us = round(self.model.opt.timestep * 1e6)
+        self._warnings = [self.data.warning[kind] for kind in DIVERGED]
         self.nodes: list[_board.Node] = []
-        self._qpos, self._dof, self._actuator = [], [], []
+        qpos, dof, actuators = list[int](), list[int](), list[int]()
         self._coupling = Coupling.of(machine.coupling, len(machine.axes))
         boards = {name: a for a, name in enumerate(map(self._driven, range(self.model.nu)))}
         for axis in machine.axes:
@@ -65,9 +66,10 @@ class Plant:
             window = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
             numbers = self.data.plugin_state[window : window + _board.NODE_NUMBERS]
             self.nodes.append(_board.Node(numbers))
-            self._qpos.append(self.model.jnt_qposadr[joint])
-            self._dof.append(self.model.jnt_dofadr[joint])
-            self._actuator.append(actuator)
+            qpos.append(self.model.jnt_qposadr[joint])
+            dof.append(self.model.jnt_dofadr[joint])
+            actuators.append(actuator)
+        self._qpos, self._dof, self._actuator = map(np.array, (qpos, dof, actuators))
         self.position = np.array(start)
 
     def _driven(self, actuator: int) -> str:
@@ -132,7 +134,8 @@ class Plant:
     def step(self, count: int) -> None:
         """Advances plant, servos and devices by `count` physics steps. Raises UnstableError."""
         mujoco.mj_step(self.model, self.data, count)
-        if any(self.data.warning[kind].number for kind in DIVERGED):  # MuJoCo has reset itself
+        position, velocity, acceleration = self._warnings
+        if position.number or velocity.number or acceleration.number:  # MuJoCo has reset itself
             raise UnstableError(
                 "the simulated machine's motion is unstable: check sim.plant, the "
                 "servo's gains and the model"
