@@ -1,4 +1,4 @@
-"""What a tick costs around its compiled calls, in closed loop: the Python of a tick of two machines.
+"""What a tick costs around its compiled calls, in closed loop: of arm2's ticks and of arm6's.
 
 Time is the thread's. Compiled calls are `prepare` and `feedback` of controller/program.py, with all
 that they write into their arrays; the estimator's filter counts as Python. A tick whose samples
