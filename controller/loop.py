@@ -299,8 +299,9 @@ class Loop:
         """The last roll-out from the new commit knot on, extended at rest."""
         assert self._last is not None
         knot, motion = self._last
-        index = np.minimum(np.arange(self._horizon + 1) + commit_knot - knot, self._horizon)
-        return Motion(motion.position[index], motion.velocity[index], motion.torque[index])
+        knots = np.arange(commit_knot - knot, commit_knot - knot + self._horizon + 1)
+        rows = (motion.position, motion.velocity, motion.torque)
+        return Motion(*(of.take(knots, axis=0, mode="clip") for of in rows))
 
     def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device; and a roll-out that is a motion."""

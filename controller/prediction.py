@@ -104,19 +104,17 @@ class Prediction:
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Motor torques [Nm] of the motion (m, n) by the model."""
-        torque = np.empty_like(q)
-        for i in range(len(q)):
-            for target, value in zip(self._inverse.inputs, (q[i], v[i], a[i]), strict=True):
-                target[:, 0] = value
-            torque[i] = self._inverse.run()[0][:, 0]
-        return torque
+        return np.array([self._inverse_at(*row) for row in zip(q, v, a, strict=True)])
+
+    def _inverse_at(self, q: Array, v: Array | float, a: Array | float) -> Array:
+        at, speed, acceleration = self._inverse.inputs
+        at[:, 0], speed[:, 0], acceleration[:, 0] = q, v, a
+        return self._inverse.run()[0][:, 0].copy()
 
     def holding(self, q: Array, disturbance: Array) -> Array:
         """Motor torques (n,) that hold the machine at rest at q (n,); none on passive axes, which
         may fall."""
-        still = np.zeros_like(q)[None]
-        torque: Array = self.inverse_dynamics(q[None], still, still)[0] - disturbance
-        return np.where(self.law.limit > 0, torque, 0.0)
+        return np.where(self.law.limit > 0, self._inverse_at(q, 0.0, 0.0) - disturbance, 0.0)
 
 
 def _symbols(n: int) -> tuple[Any, ...]:
