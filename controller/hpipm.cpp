@@ -35,10 +35,17 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     d_ocp_qp_ipm_arg_set_tol_eq(&tolerance, &arg_);
     d_ocp_qp_ipm_arg_set_tol_ineq(&tolerance, &arg_);
     d_ocp_qp_ipm_arg_set_tol_comp(&tolerance, &arg_);
-    d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, block(d_ocp_qp_ipm_ws_memsize(&dim_, &arg_)));
+    work_memory_ = block(d_ocp_qp_ipm_ws_memsize(&dim_, &arg_));
+    d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, work_memory_);
     buffer_.resize((size_t)(9 * n * n));
     offset_.resize((size_t)(w * count));
     set_constant();
+}
+
+// What is not a number stays where the method only adds to it, or multiplies it by zero.
+void Hpipm::forget() {
+    std::fill_n(static_cast<char *>(work_memory_), d_ocp_qp_ipm_ws_memsize(&dim_, &arg_), 0);
+    d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, work_memory_);
 }
 
 // Q: what is constant, and what the task's own costs add to it.

@@ -21,6 +21,7 @@ class Hpipm : public Solver {
     Hpipm(const Hpipm &) = delete;
     bool update() override;
     Answer solve(double *z) override;
+    void forget() override;
 
   private:
     void set_constant();
@@ -35,6 +36,7 @@ class Hpipm : public Solver {
     d_ocp_qp_sol sol_{};
     d_ocp_qp_ipm_arg arg_{};
     d_ocp_qp_ipm_ws work_{};
+    void *work_memory_;
     std::vector<double> buffer_; // for one block at a time
     std::vector<double> offset_; // of each stage's change of speed, which the dynamics fix
 };

@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <string>
 
+static constexpr double FAR = 1e15; // beyond it there is no bound, see UNBOUNDED in ocp.py
+
 static OSQPCscMatrix view(Sparse &m, OSQPInt rows) {
     OSQPCscMatrix csc{};
     OSQPCscMatrix_set_data(&csc, rows, (OSQPInt)m.indptr.size() - 1, (OSQPInt)m.data.size(),
@@ -107,6 +109,7 @@ void Osqp::measure(const OSQPSolution &solution, Answer &answer) {
         answer.stationarity = std::max(answer.stationarity, std::abs(slope_[i]) / scale_.data()[i]);
     for (size_t i = 0; i < value_.size(); ++i) {
         double distance = y[i] > 0 ? upper_.data()[i] - value_[i] : value_[i] - lower_.data()[i];
-        answer.complementarity = std::max(answer.complementarity, std::abs(y[i] * distance));
+        if (distance < FAR) // a multiplier's last bits say nothing of a row without a bound
+            answer.complementarity = std::max(answer.complementarity, std::abs(y[i] * distance));
     }
 }

@@ -35,12 +35,13 @@ void Tick::prepare() {
 // residual as we compute it is small. Otherwise the solver is to begin anew.
 void Tick::solve(Feedback &f) {
     f.accepted = false;
+    f.answer = {}; // what the last program's was says nothing of this one
+    f.residual = INFINITY;
     generated_run(&vectors.generated);
     try {
         if (ready)
             f.answer = solver.solve(z.data());
-    } catch (const std::exception &) {
-        f.answer = {}; // no good
+    } catch (const std::exception &) { // no answer
     }
     bool sane = std::all_of(z.data(), z.data() + z.size(), [](double v) {
         return std::abs(v) < SANE_MAX; // not for one that is not a number

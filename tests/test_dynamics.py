@@ -16,7 +16,12 @@ from trees import random_mjcf
 from headway.configs.load import load_config
 from headway.controller.equations import COULOMB_SPEED
 from headway.controller.prediction import Prediction, ServoLaw
-from headway.models.dynamics import Tree, forward_dynamics, inverse_dynamics
+from headway.models.dynamics import (
+    Tree,
+    forward_derivatives,
+    forward_dynamics,
+    inverse_dynamics,
+)
 from headway.models.machine import Machine, load_machine
 from headway.sim.plant import BRAKE
 
@@ -64,6 +69,23 @@ def test_forward_dynamics_agree_with_pinocchio(machine: Path) -> None:
         expected = pin.aba(model, data, q, v, tau - model.damping * v)
         got = np.array(forward(q, v, tau)).ravel()
         assert np.abs(got - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def test_derivatives_of_the_dynamics_agree_with_pinocchios(machine: Path) -> None:
+    """With its own analytical ones; damping, which it does not know, is the torque's."""
+    loaded = load_machine(machine)
+    model, data = loaded.model, loaded.model.createData()
+    q, v, w = (ca.SX.sym(name, loaded.tree.count) for name in "qvw")
+    ours = ca.Function("ours", [q, v, w], list(forward_derivatives(loaded.tree, q, v, w)))
+    for at, speed, tau in states(model.nv, 3):
+        net = tau - model.damping * speed
+        by_q, by_v, by_tau = pin.computeABADerivatives(model, data, at, speed, net)
+        accelerations = pin.aba(model, data, at, speed, net)
+        a, by_state, by_torque = (np.array(each) for each in ours(at, speed, tau))
+        expected = np.hstack((by_q, by_v - by_tau * model.damping))
+        assert np.abs(a.ravel() - accelerations).max() <= 1e-10 * np.abs(accelerations).max()
+        assert np.abs(by_torque - by_tau).max() <= 1e-8 * np.abs(by_tau).max()
+        assert np.abs(by_state - expected).max() <= 1e-8 * np.abs(expected).max()
 
 
 def test_inverse_dynamics_agree_with_pinocchio(machine: Path) -> None:
