@@ -39,6 +39,9 @@ from headway.models.machine import Machine
 Array = NDArray[np.float64]
 
 
+RESTING_SHARE = 0.01  # of the speed limits: slower, the machine rests
+
+
 def plan_points(config: Config) -> int:
     """Points of the longest plan that a tick may send, see Loop._join."""
     return config.mpc.horizon_us // config.loop.knot_us + max(config.loop.margin_knots - 1, 3)
@@ -74,6 +77,7 @@ class Loop:
             for axis, units in zip(driven.values(), moved_units, strict=True)
         ]
         law = ServoLaw.of(axes)
+        self._resting = RESTING_SHARE * np.array([axis.velocity_limit for axis in axes])
         self._horizon = config.mpc.horizon_us // self._knot_us
         points = plan_points(config)
         if points > core.PLAN_POINTS_MAX:
@@ -178,7 +182,7 @@ class Loop:
         self._check_devices(tick)
         if any(remote.silent(tick.now_us) for remote in self._remotes):
             return Outbox()  # nobody gets a new plan: all coast to rest together
-        self._enter_anew(commit_knot)
+        self._enter_anew(tick.commit, commit_knot)
         began = time.perf_counter()
         plan = self._plan(tick, commit_knot)
         passed = plan is not None and self._passes(*plan, commit_knot)
@@ -242,14 +246,15 @@ class Loop:
         if _finite(old[1]):
             self._last = (commit_knot, old[1])
 
-    def _enter_anew(self, commit_knot: int) -> None:
-        """When no new plan was found until the last one ended, the machine rests, perhaps far from
-        its reference: it is led there as at the start."""
-        assert self._last is not None
-        _, motion = self._last
-        if commit_knot - self._planned >= self._horizon:
+    def _enter_anew(self, commit: Estimate, commit_knot: int) -> None:
+        """When no new plan was found until the last one ended and the machine rests, perhaps far
+        from its reference, it is led there as at the start."""
+        n, law = self._prediction.n, self._prediction.law
+        ended = commit_knot - self._planned >= self._horizon
+        if ended and np.all(np.abs(commit.z[n : 2 * n]) <= self._resting):
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
-            self._enter(motion.position[-1], motion.torque[-1], start_s)
+            torque = law.clipped(law.torque(commit.state(n), commit.tracks))
+            self._enter(commit.z[:n], torque, start_s)
             self._wanted = self._wanted_from(commit_knot)
 
     def _enter(self, position: Array, torque: Array, start_s: float) -> None:
@@ -271,7 +276,8 @@ class Loop:
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
             return self._encoder.plan(motion, self._moved, commit_knot, state, self._disturbance)
-        torque = self._prediction.law.torque(state, tick.commit.tracks)
+        law = self._prediction.law
+        torque = law.clipped(law.torque(state, tick.commit.tracks))
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
         tick.solution = solution = self._mpc.solve(

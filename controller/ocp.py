@@ -35,7 +35,9 @@ from headway.models.codegen import among, named_function
 Array = NDArray[np.float64]
 
 TORQUE_SHARE = 0.99  # of the torque limit is planned at first: the rest is for the encoding
-HULL_SHARE = 0.85  # of the gate's speed and acceleration limits: control points exceed the nodes
+SPEED_SHARE = 0.85  # of the gate's limit: control points exceed the nodes
+# So do accelerations, and most where a plan leaves the committed points at full acceleration.
+ACCELERATION_SHARE = 0.7
 # A soft limit is approached no faster than its distance over this time, or over a longer one: a
 # machine that brakes later than the model thinks then still stops short of it (a linear barrier:
 # Ames et al., "Control barrier functions: theory and applications", 2019).
@@ -77,7 +79,7 @@ class Limits:
         # Zappa, Automatica 37, 2001).
         ramp = np.clip(2 * np.linspace(0, 1, mpc.intervals + 1), 0, 1)
         shares = TORQUE_SHARE + (mpc.torque_share_end - TORQUE_SHARE) * ramp
-        velocity = HULL_SHARE * np.array([a.velocity_limit for a in driven.values()])
+        velocity = SPEED_SHARE * np.array([a.velocity_limit for a in driven.values()])
         # T v <= room and v <= 2 a T give the gate's v^2 <= 2 a room: T is such that the second
         # holds up to the fastest plan, with a share of the a that the gate counts on. An axis with
         # soft limits at both ends has the way beyond them to stop on.
@@ -88,7 +90,7 @@ class Limits:
         return cls(
             np.outer(shares, [a.effort_limit for a in driven.values()]),
             velocity,
-            HULL_SHARE * np.array([a.acceleration_limit for a in driven.values()]),
+            ACCELERATION_SHARE * np.array([a.acceleration_limit for a in driven.values()]),
             np.array(low) + room,
             np.array(high) - room,
             approach_s,

@@ -62,6 +62,11 @@ class ServoLaw:
         """[Kp, Kd + c] as configured (2n)."""
         return np.concatenate((self.kp, self.kd + self.emf))
 
+    def clipped(self, torque: Array) -> Array:
+        """What the motors give of a torque (n,)."""
+        given: Array = np.clip(torque, -self.limit, self.limit)
+        return given
+
     def torque(self, x: Array, tracks: Array) -> Array:
         """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 5n)."""
         n = len(self.limit)

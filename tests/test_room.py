@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from headway.configs.load import load_config
 from headway.controller.loop import Loop
-from headway.controller.ocp import HULL_SHARE, Limits
+from headway.controller.ocp import SPEED_SHARE, Limits
 from headway.controller.record.recorder import Memory
 from headway.devices import core
 from headway.sim.lockstep import Lockstep
@@ -37,7 +37,7 @@ def test_the_barrier_implies_the_gates_condition(
         ],
     )
     time_s = float(Limits.of(config).approach_s[0])
-    speed = share * HULL_SHARE * fastest
+    speed = share * SPEED_SHARE * fastest
     room = time_s * speed * (1 + depth)
     assert speed**2 <= 2 * 0.8 * stop * room * (1 + 1e-9)
     assert time_s >= 0.1

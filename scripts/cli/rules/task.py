@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 
 from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
 from headway.cli.rules.subject import Subject
-from headway.controller.ocp import APPROACH_S, HULL_SHARE, Limits
+from headway.controller.ocp import ACCELERATION_SHARE, APPROACH_S, SPEED_SHARE, Limits
 from headway.controller.ocp import STOP_SHARE as DECELERATION_SHARE
 from headway.controller.reference import Custom
 
@@ -112,9 +112,9 @@ def _hull(subject: Subject) -> Iterator[Rule]:
     points = make_interp_spline(knots, subject.reference.at(knots * h)[0], k=3).c[extra:-extra]
     speed = np.abs(np.diff(points, axis=0)).max(axis=0) / h
     acceleration = np.abs(np.diff(points, n=2, axis=0)).max(axis=0) / h**2
-    for what, per, values, key in (
-        ("speed", "s", speed, "velocity_limit"),
-        ("acceleration", "s^2", acceleration, "acceleration_limit"),
+    for what, per, values, key, share in (
+        ("speed", "s", speed, "velocity_limit", SPEED_SHARE),
+        ("acceleration", "s^2", acceleration, "acceleration_limit", ACCELERATION_SHARE),
     ):
         yield worst(
             at_most(
@@ -122,10 +122,10 @@ def _hull(subject: Subject) -> Iterator[Rule]:
                 float(values[i]),
                 getattr(axis, key),
                 f"{axis.unit}/{per}",
-                f"a plan may use {HULL_SHARE:g} of {axis.key(key)}: raise it, or lower "
+                f"a plan may use {share:g} of {axis.key(key)}: raise it, or lower "
                 f"task.frequency_Hz or the amplitude in task.axes.{i}",
                 axis.joint,
-                warn=HULL_SHARE,
+                warn=share,
             )
             for i, axis in subject.driven.items()
         )
@@ -221,7 +221,7 @@ def _stop_from_limit(subject: Subject) -> Rule:
     return worst(
         at_most(
             "horizon: to stop from the speed limit",
-            axis.velocity_limit / (HULL_SHARE * axis.acceleration_limit),
+            axis.velocity_limit / (ACCELERATION_SHARE * axis.acceleration_limit),
             horizon_s,
             "s",
             f"lengthen mpc.horizon_us, or lower {axis.key('velocity_limit')} or raise "
