@@ -62,7 +62,7 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     (axis(1, velocity_limit_rad_per_s=3.9), {"task: speed at the gate": "FAIL"}),
     (
         (
-            *axis(0, velocity_limit_rad_per_s=2.67, acceleration_limit_rad_per_s2=7.4),
+            *axis(0, velocity_limit_rad_per_s=2.67, acceleration_limit_rad_per_s2=8.6),
             *("mpc.intervals=22", "mpc.horizon_us=450560"),
         ),
         {"task: acceleration at the gate": "warn"},
@@ -92,7 +92,10 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
         {"horizon: to stop from the speed limit": "FAIL"},
     ),
     (
-        ("mpc.intervals=8", "mpc.horizon_us=65536"),
+        (
+            *axis(0, acceleration_limit_rad_per_s2=280),
+            *("mpc.intervals=8", "mpc.horizon_us=65536"),
+        ),
         {"horizon: to stop from the task": "warn"},
     ),
     (
