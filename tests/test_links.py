@@ -9,6 +9,7 @@ import shlex
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -16,9 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from headway.cli.linked import Linked
 from headway.cli.main import main
 from headway.cli.simulation import Simulation
 from headway.cli.truth import with_truth
+from headway.cli.wall import WallClock
 from headway.configs.load import load_config
 from headway.controller.record.reader import read_run
 from headway.controller.reference import task_reference
@@ -183,6 +186,24 @@ def test_a_plant_prints_what_reaches_it(tmp_path: Path, capsys: pytest.CaptureFi
     assert [row["name"] for row in json.loads(capsys.readouterr().out)] == ["q1", "q2"]
     plant.stdin.close()
     assert plant.wait(PATIENCE_S) == 0
+
+
+def test_a_plant_of_ones_own_has_keys_of_its_own_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each time others, which no machine has; and neither they nor the plant stay."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    config = load_config(CONFIGS / "arm2.yaml")
+    drawn = []
+    for _ in range(2):
+        with Linked("udp", spawn=True).machine(CONFIGS / "arm2.yaml", config, []) as reached:
+            with reached.link(WallClock()):
+                assert reached.alive()
+            drawn += [*reached.keys.devices.values(), reached.keys.sync]
+        assert not reached.alive()
+        assert list(tmp_path.iterdir()) == []
+    assert len(set(drawn)) == len(drawn) == 6
 
 
 def test_the_keys_of_a_killed_run_do_not_stay(tmp_path: Path) -> None:

@@ -19,29 +19,35 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from kills import AFTER_US, PEAKS_S, kills, moving, rests
+import pytest
+from kills import PEAKS_S, kills, moving
 from processes import (
+    AFTER_US,
     CONFIG,
     CONT,
     KILL,
     PATIENCE_S,
     STOP,
     Machine,
-    speeds,
+    coast,
     within_limits,
 )
 
 from headway.cli.main import main
 from headway.controller.record.reader import NAME, RecordError, read_run
 from headway.controller.reference import Sines
+from headway.devices.core import COAST_KNOTS
 from headway.devices.places import address_of
+from headway.sim.truth import TRUTH_US
 
 SLOWLY = ["--realtime-factor", "0.25"]  # what has to come to its end, on any computer
 
 
 def test_a_killed_controller_leaves_a_machine_that_comes_to_rest(tmp_path: Path) -> None:
     """At peak speed, and at any phase, over both kinds of link; the next one takes over."""
-    assert kills(tmp_path, 10, 3) == []
+    rows: list[str] = []
+    assert kills(tmp_path, 10, 3, rows.append) == []
+    assert len(rows) == 10
 
 
 def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
@@ -68,8 +74,7 @@ def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
     truth = machine.truth()
     assert within_limits(machine, truth)
     for stopped_us, ended_us in spans:
-        rested_us = stopped_us + machine.plan_us + AFTER_US
-        assert rests(truth, rested_us, max(ended_us, rested_us) + AFTER_US)
+        assert coast(machine, truth, stopped_us, ended_us + AFTER_US).broken == []
 
 
 def test_a_stopped_controller_executes_nothing_old(tmp_path: Path) -> None:
@@ -98,14 +103,23 @@ def test_a_stop_by_signal_is_coordinated_and_a_dead_plant_is_told(tmp_path: Path
         assert "has gone" in machine.said and "no longer answers" in machine.said
     truth = machine.truth()
     assert within_limits(machine, truth)
-    rested_us = at_us + machine.plan_us + AFTER_US
-    assert speeds(truth, at_us - 20_000, at_us).max() > 1.0
-    assert rests(truth, rested_us, rested_us + AFTER_US)
+    rest = coast(machine, truth, at_us, at_us + machine.plan_us + 2 * AFTER_US)
+    assert rest.speed > 1.0 and rest.broken == []
     # Of the plan's last tenth both do the same: the references reach their ends together.
     stop = (truth["servo_us"] > at_us) & (truth["servo_us"] < again_us - 700_000)
     rate = np.abs(truth["servo_setpoint_rate_pq"])[stop]
     ends = [np.flatnonzero(rate[:, axis] > 0)[-1] for axis in range(2)]
     assert abs(ends[0] - ends[1]) <= 5  # milliseconds
+
+
+def resumed(machine: Machine, ports: Path) -> int:
+    """A cable is in again for a second, and an operator runs the machine: since when."""
+    machine.pause(1_000_000)
+    at_us = machine.now_us()
+    controller = moving(machine, 0.1, ports)
+    controller.send(signal.SIGTERM)
+    assert controller.wait() == 130
+    return at_us
 
 
 def test_a_cable_pulled_and_plugged_in_elsewhere_moves_nothing(tmp_path: Path) -> None:
@@ -114,19 +128,46 @@ def test_a_cable_pulled_and_plugged_in_elsewhere_moves_nothing(tmp_path: Path) -
     with Machine(tmp_path, "serial", 1.0) as machine:
         with wire(machine, tmp_path / "here") as cable:
             controller = moving(machine, PEAKS_S[1], tmp_path / "here")
+            cable.kill()  # it does no more; to be gone takes it longer
             pulled_us = machine.now_us()
-            cable.kill()
             assert controller.wait() == 4
         assert "has gone" in machine.said
         with wire(machine, tmp_path / "there"):
-            machine.pause(1_000_000)
-            plugged_us = machine.now_us()
-            controller = moving(machine, 0.1, tmp_path / "there")
-            controller.send(signal.SIGTERM)
-            assert controller.wait() == 130
+            resumed_us = resumed(machine, tmp_path / "there")
     truth = machine.truth()
     assert within_limits(machine, truth)
-    assert rests(truth, pulled_us + machine.plan_us + AFTER_US, plugged_us)
+    rest = coast(machine, truth, pulled_us, resumed_us)
+    assert rest.speed > 1.0 and rest.broken == []
+
+
+def test_one_axis_cable_pulled_stops_all(tmp_path: Path) -> None:
+    """The other axis gets no plan either once five knots have passed without a word, and both rest
+    together. The same device at a port of another name, beside the old one's, moves nothing."""
+    names = {"q1": "arm2-q1", "q2": "arm2-q2", "again": "arm2-elsewhere"}
+    with Machine(tmp_path, "serial", 1.0) as machine:
+        for folder, name in names.items():
+            (tmp_path / folder).mkdir()
+            device = "arm2-q1" if folder == "q1" else "arm2-q2"
+            (tmp_path / folder / name).symlink_to(machine.ports / device)
+        here = tmp_path / "here"
+        with (
+            wire(machine, here, devices=tmp_path / "q1"),
+            wire(machine, here, devices=tmp_path / "q2") as cable,
+        ):
+            controller = moving(machine, PEAKS_S[1], here)
+            cable.kill()  # it does no more; to be gone takes it longer
+            pulled_us = machine.now_us()
+            assert controller.wait() == 4
+            assert "arm2-q2: has gone" in machine.said
+            with wire(machine, here, devices=tmp_path / "again"):
+                resumed_us = resumed(machine, here)
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    unheard_us = COAST_KNOTS * machine.config.loop.knot_us
+    rest = coast(machine, truth, pulled_us + unheard_us, resumed_us)
+    assert rest.speed > 1.0 and rest.broken == []
+    q1_us, q2_us = rest.setpoints_us
+    assert abs(q1_us - q2_us) <= unheard_us + 2 * TRUTH_US
 
 
 def test_the_task_goes_on_over_a_bad_wire_in_a_flood_of_junk(tmp_path: Path) -> None:
@@ -158,20 +199,24 @@ def test_the_task_goes_on_over_a_bad_wire_in_a_flood_of_junk(tmp_path: Path) -> 
 
 
 @contextmanager
-def wire(machine: Machine, ports: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
-    """`headway chaos` between a machine's ports and others."""
+def wire(
+    machine: Machine, ports: Path, *words: str, devices: Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """`headway chaos` between a machine's ports, or those in `devices`, and others."""
     end = time.monotonic() + PATIENCE_S
     while len(list(machine.ports.glob("arm2-*"))) < 2 and time.monotonic() < end:
         time.sleep(0.05)
+    source = devices or machine.ports
+    names = sorted(path.name.removesuffix(".udp") for path in source.glob("arm2-*"))
     headway = str(Path(sys.executable).with_name("headway"))
     more = ["--link", machine.kind, "--realtime-factor", f"{machine.factor:g}", "--until-eof"]
     process = subprocess.Popen(
-        [headway, "chaos", str(machine.ports), str(ports), *more, *words],
+        [headway, "chaos", str(source), str(ports), *more, *words],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
         assert process.stdout is not None and process.stdin is not None
-        assert "q1" in process.stdout.readline() and "q2" in process.stdout.readline()
+        assert all(name in process.stdout.readline() for name in names)
         yield process
         process.stdin.close()
         assert process.wait(PATIENCE_S) in (0, -signal.SIGKILL)
@@ -229,6 +274,62 @@ def test_the_motion_does_not_notice_what_becomes_of_its_record(tmp_path: Path) -
             error = 1e3 * (plant["truth_position"] - wanted)[judged]
             assert np.sqrt(np.mean(error**2)) < 2.0  # mrad; at rest it would be hundreds
         assert plant["end_states"].tolist() == [[7, 7]]
+
+
+@pytest.mark.parametrize("kind", ["serial", "udp"])
+def test_a_second_host_gets_nothing_of_a_machine_that_moves(tmp_path: Path, kind: str) -> None:
+    """With the right keys. It is told why, and the first one's task goes on."""
+    with Machine(tmp_path, kind, 0.25) as machine:
+        first = moving(machine, 0.2)
+        second = machine.controller()
+        assert second.wait() == 4
+        told = {"serial": "another program has it", "udp": "does another host run it?"}[kind]
+        assert told in machine.said
+        assert first.process.is_alive()
+        first.send(signal.SIGTERM)
+        stopped_us = machine.now_us()
+        assert first.wait() == 130
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    start_us = int(truth["servo_us"][np.argmax(truth["servo_setpoint_rate_pq"].any(axis=1))])
+    task = (truth["servo_us"] > start_us + 50_000) & (truth["servo_us"] < stopped_us)
+    assert np.all(truth["servo_setpoint_rate_pq"][task].any(axis=1))  # it never rests
+    assert stopped_us - start_us > 1_000_000
+
+
+def test_a_terminal_that_stands_still_stops_no_motion(tmp_path: Path) -> None:
+    """Nobody reads what a run has to say, and there is no room for more: it goes on to its end."""
+    said, into = os.pipe()
+    headway = str(Path(sys.executable).with_name("headway"))
+    words = ["--link", "udp", "--spawn", "--set", "sync.limit_us=2000", *SLOWLY]
+    run = subprocess.Popen(
+        [headway, "run", str(CONFIG), "--duration", "1.5", *words, "--out", str(tmp_path / "run")],
+        stdout=subprocess.DEVNULL, stderr=into,
+    )  # fmt: skip
+    try:
+        file, end = tmp_path / "run" / NAME, time.monotonic() + PATIENCE_S
+        begun = 0
+        while time.monotonic() < end and run.poll() is None and begun < 10:
+            with suppress(OSError, RecordError):
+                begun = read_run(file).messages["tick"]
+            time.sleep(0.05)
+        assert begun >= 10
+        full = os.open(f"/proc/self/fd/{into}", os.O_WRONLY | os.O_NONBLOCK)
+        for size in (4096, 1):
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(full, b"." * size)
+        os.close(full)
+        while run.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
+        assert run.poll() == 0
+    finally:
+        run.kill()
+        run.wait()
+        os.close(said)
+        os.close(into)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["at_rest_after_end"] and summary["record"]["complete"]
 
 
 def test_ctrl_c_leaves_a_complete_record_of_a_machine_at_rest(tmp_path: Path) -> None:
