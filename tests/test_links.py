@@ -37,9 +37,9 @@ SEEDS = 6
 PATIENCE_S = 200  # of a computer that is busy beyond all measure
 
 
-def start(*words: str) -> subprocess.Popen[str]:
+def start(*words: str, stderr: int | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [*HEADWAY, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [*HEADWAY, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, text=True
     )
 
 
@@ -170,8 +170,10 @@ def test_a_plant_prints_what_reaches_it(tmp_path: Path, capsys: pytest.CaptureFi
     changes = ["--set", "sync.limit_us=1500", "--set", "sim.to_host.delay_us=3500"]
     at = ["--link", "udp", "--bind", "127.0.0.2", "--port", str(port)]
     ports = ["--ports", str(tmp_path / "ports")]
-    plant = start("plant", CONFIG, *at, *keys, *ports, *changes, "--until-eof")
-    assert plant.stdout is not None and plant.stdin is not None
+    words = [CONFIG, *at, *keys, *ports, *changes, "--until-eof"]
+    plant = start("plant", *words, stderr=subprocess.PIPE)
+    assert plant.stdout is not None and plant.stdin is not None and plant.stderr is not None
+    assert plant.stderr.readline().startswith("reachable from other computers, at 127.0.0.2: ")
     lines = [plant.stdout.readline() for _ in range(3)]
     assert lines[:2] == [f"q1: 127.0.0.2:{port}\n", f"q2: 127.0.0.2:{port + 1}\n"]
     said = shlex.split(lines[2].removeprefix("to control it: "))

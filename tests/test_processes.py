@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +36,7 @@ from processes import (
 )
 
 from headway.cli.main import main
+from headway.configs.load import load_config
 from headway.controller.record.reader import NAME, RecordError, read_run
 from headway.controller.reference import Sines
 from headway.devices.core import COAST_KNOTS
@@ -50,13 +53,13 @@ def test_a_killed_controller_leaves_a_machine_that_comes_to_rest(tmp_path: Path)
     assert len(rows) == 10
 
 
-def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
-    """Stops a controller for so long each time, at peak speed."""
+def stops(folder: Path, kind: str, times: list[tuple[float, int]]) -> None:
+    """Stops a controller at each of these times of its task [s], for so long [us]."""
     folder.mkdir()
     spans = []
     with Machine(folder, kind, 1.0) as machine:
-        for stop_us in stops_us:
-            controller = moving(machine, PEAKS_S[0])
+        for phase, stop_us in times:
+            controller = moving(machine, phase)
             controller.send(STOP)
             stopped_us = machine.now_us()
             machine.pause(stop_us)
@@ -65,7 +68,7 @@ def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
                 assert controller.wait() == 4
                 assert "no plan reached it in time" in machine.said
                 spans.append((stopped_us, machine.now_us()))
-            elif controller.await_task(PEAKS_S[0] + 0.1):
+            elif controller.await_task(phase + 0.1):
                 controller.send(signal.SIGTERM)
                 assert controller.wait() == 130
             else:  # on a computer so busy that it has lost its devices in the meantime
@@ -74,16 +77,22 @@ def stops(folder: Path, kind: str, stops_us: list[int]) -> None:
     truth = machine.truth()
     assert within_limits(machine, truth)
     for stopped_us, ended_us in spans:
-        assert coast(machine, truth, stopped_us, ended_us + AFTER_US).broken == []
+        rest = coast(machine, truth, stopped_us, ended_us + AFTER_US)
+        assert rest.broken == []
 
 
 def test_a_stopped_controller_executes_nothing_old(tmp_path: Path) -> None:
-    """SIGSTOP for 10 ms to 5 s. What was computed before is not executed after; what has come to
-    rest stays at rest, and the controller says so."""
+    """SIGSTOP for 10 ms to 5 s, at peak speed and at any phase. What was computed before is not
+    executed after; what has come to rest stays at rest, and the controller says so."""
+    rng = np.random.default_rng(8)
+    q2_s, both_s, *_ = PEAKS_S
+    some_s = [float(phase) for phase in rng.uniform(0.1, 1.7, 2)]
+    serial = [(q2_s, 10_000), (some_s[0], 5_000_000)]
+    udp = [(q2_s, 100_000), (both_s, 300_000), (some_s[1], 1_000_000)]
     with ThreadPoolExecutor(2) as pool:
         jobs = [
-            pool.submit(stops, tmp_path / "serial", "serial", [10_000, 5_000_000]),
-            pool.submit(stops, tmp_path / "udp", "udp", [100_000, 300_000, 1_000_000]),
+            pool.submit(stops, tmp_path / "serial", "serial", serial),
+            pool.submit(stops, tmp_path / "udp", "udp", udp),
         ]
         for job in jobs:
             job.result()
@@ -110,6 +119,31 @@ def test_a_stop_by_signal_is_coordinated_and_a_dead_plant_is_told(tmp_path: Path
     rate = np.abs(truth["servo_setpoint_rate_pq"])[stop]
     ends = [np.flatnonzero(rate[:, axis] > 0)[-1] for axis in range(2)]
     assert abs(ends[0] - ends[1]) <= 5  # milliseconds
+
+
+def test_what_moves_on_is_seen() -> None:
+    """By the judge of all the others: a setpoint that a stale plan moves, an axis that creeps."""
+    config = load_config(CONFIG)
+    plan_us = config.mpc.horizon_us + config.loop.margin_us
+    machine: Any = SimpleNamespace(config=config, plan_us=plan_us)
+    time_us = np.arange(-50_000, 2_000_000, TRUTH_US)
+    plan = (time_us < plan_us)[:, None]
+    good = {
+        "truth_us": time_us,
+        "servo_us": time_us,
+        "servo_setpoint_rate_pq": np.where(plan, 100, 0) * np.ones((1, 2), np.int64),
+        "truth_velocity": np.where(plan, 2.0, 0.0) * np.ones((1, 2)),
+        "truth_position": np.minimum(time_us, plan_us)[:, None] * 2e-6 * np.ones((1, 2)),
+    }
+    rest = coast(machine, good, 0, 1_500_000)
+    assert rest.broken == [] and rest.setpoints_us == [plan_us - plan_us % TRUTH_US] * 2
+    stale, creeping = ({name: values.copy() for name, values in good.items()} for _ in range(2))
+    stale["servo_setpoint_rate_pq"][time_us == 1_400_000, 1] = 1
+    creeping["truth_position"][time_us > 1_000_000, 0] += 0.002
+    assert "a setpoint moves 1400000 us after" in " ".join(
+        coast(machine, stale, 0, 1_500_000).broken
+    )
+    assert "an axis moves" in " ".join(coast(machine, creeping, 0, 1_500_000).broken)
 
 
 def resumed(machine: Machine, ports: Path) -> int:
