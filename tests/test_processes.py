@@ -41,6 +41,7 @@ from headway.controller.record.reader import NAME, RecordError, read_run
 from headway.controller.reference import Sines
 from headway.devices.core import COAST_KNOTS
 from headway.devices.places import address_of
+from headway.firmware import _core
 from headway.sim.truth import TRUTH_US
 
 SLOWLY = ["--realtime-factor", "0.25"]  # what has to come to its end, on any computer
@@ -230,6 +231,62 @@ def test_the_task_goes_on_over_a_bad_wire_in_a_flood_of_junk(tmp_path: Path) -> 
         over.set()
         sender.join()
     assert within_limits(machine, machine.truth())
+
+
+def test_a_flood_on_loopback_is_followed_through(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """20,000 datagrams a second to each device, of its own time, from who has no key: noise, and
+    what has the right version. What has arrived is counted."""
+    hz, factor = 20_000, 0.2
+    rng = np.random.default_rng(4)
+    noise = [rng.bytes(size).replace(b"\0", b"\1") for size in rng.integers(1, 200, 64)]
+    junk = noise + [bytes((255, _core.FRAME_VERSION)) + packet for packet in noise]
+    over, sent = threading.Event(), [0]
+
+    def flood(machine: Machine) -> None:
+        addresses = [address_of(place.read_text()) for place in machine.ports.glob("*.udp")]
+        begun_us = machine.now_us()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.wait(0.002):
+                due = (machine.now_us() - begun_us) * hz // 1_000_000
+                for number in range(sent[0], due):
+                    for address in addresses:
+                        sender.sendto(junk[number % len(junk)], address)
+                sent[0] = due
+
+    with Machine(tmp_path, "udp", factor) as machine:
+        controller = moving(machine, 1.0)
+        sender = threading.Thread(target=flood, args=(machine,), daemon=True)
+        sender.start()
+        flooded_us = machine.now_us()
+        assert controller.await_task(2.0), machine.said
+        over.set()
+        sender.join()
+        calm_us = machine.now_us()
+        controller.send(signal.SIGTERM)
+        assert controller.wait() == 130
+        where = ["--keys", str(tmp_path / "keys"), "--ports", str(machine.ports), "--json"]
+        factor_words = ["--link", "udp", "--realtime-factor", f"{factor:g}"]
+        capsys.readouterr()
+        assert main(["devices", "list", str(CONFIG), *factor_words, *where]) == 0
+        counted = [row["frames_bad_there"] for row in json.loads(capsys.readouterr().out)]
+    assert min(counted) > 0.5 * sent[0]  # sockets have room for some
+    assert sent[0] > 0.9 * hz * (calm_us - flooded_us) * 1e-6 > 15_000
+    truth = machine.truth()
+    assert within_limits(machine, truth)
+    task = Sines(machine.config.task)
+
+    def rms(start_us: int, from_us: int, to_us: int) -> np.ndarray:
+        judged = (truth["truth_us"] > from_us) & (truth["truth_us"] < to_us)
+        wanted = task.at((truth["truth_us"][judged] - start_us) * 1e-6)[0]
+        error = 1e3 * (truth["truth_position"][judged] - wanted)
+        return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
+
+    # When the task began nobody has written down: as it fits best before the flood.
+    starts_us = range(flooded_us - 1_100_000, flooded_us - 900_000, 250)
+    start_us = min(starts_us, key=lambda at: rms(at, flooded_us - 450_000, flooded_us).max())
+    assert np.all(rms(start_us, flooded_us, calm_us) < 2.0)  # mrad; at rest it would be hundreds
 
 
 @contextmanager

@@ -49,7 +49,8 @@ def run(
     boards, or a plant in another process (`headway plant`).
 
     Leaves a folder with config.yaml (the config as used, which can be run again), run.mcap (every
-    packet and every tick, and the plant's truth at 1 kHz) and summary.json. Ctrl-C brings the
+    packet and every tick, and the plant's truth at 1 kHz) and summary.json; with --spawn the truth
+    is in plant.mcap. Ctrl-C brings the
     machine to rest first and keeps what there is; a second one gives up. A run that is killed
     leaves the record up to then.
 
