@@ -6,6 +6,7 @@ datagram on UDP. Neither ever waits: what finds no room is dropped and counted.
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
@@ -57,6 +58,8 @@ class SerialPort:
         except (OSError, ValueError) as error:  # pyserial's own are OSErrors, and not all numbered
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else " ".join(str(error).split())
+            if number in (errno.EAGAIN, errno.EBUSY):
+                reason = "another program has it"
             raise PortError(f"{path}: cannot be opened: {reason}") from error
         self._hangup = select.poll()
         self._hangup.register(self._serial, 0)  # hang-ups are told unasked

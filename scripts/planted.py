@@ -132,6 +132,27 @@ BUGS = (
         "tests/test_device_states.py::test_a_plan_is_taken_whole_or_not_at_all",
     ),
     Bug(
+        "half of a tag judged",
+        "firmware/frame.c",
+        "if (read_uint(&tag, 8) != siphash24(",
+        "if (read_uint(&tag, 4) != (uint32_t)siphash24(",
+        "tests/test_frame.py::test_every_single_bit_flip_is_refused",
+    ),
+    Bug(
+        "all that arrived opened at once",  # and the servo waits
+        "firmware/inbox.c",
+        "arrived_us, count_us);\n            return;\n        }\n        device->status",
+        "arrived_us, count_us);\n            continue;\n        }\n        device->status",
+        "tests/test_device_states.py::test_a_poll_opens_one_packet_at_most_and_the_rest_waits",
+    ),
+    Bug(
+        "late ticks caught up",  # in a burst
+        "controller/live.py",
+        "                next_us += skipped * knot_us\n                continue\n",
+        "                del skipped\n",
+        "tests/test_live.py::test_a_late_tick_is_skipped_and_counted",
+    ),
+    Bug(
         "servo's time unguarded",
         "firmware/guard.c",
         "    judge(guard, count_us, device->next_servo_us, settings->monitor.late_us);\n",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import pty
 import socket
@@ -46,10 +48,11 @@ class PtyOutlet:
 
     def __init__(self, folder: Path, machine: str, device: str) -> None:
         """Raises OSError."""
+        self._place = serial_place(folder, machine, device)
+        self._held = _Held(self._place)
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)  # no echo, even before a host has opened it
         os.set_blocking(self._master, False)
-        self._place = serial_place(folder, machine, device)
         _replace_link(self._place, os.ttyname(self._slave))
         self.where = str(self._place)
         self._splitter = Splitter()
@@ -77,6 +80,7 @@ class PtyOutlet:
 
     def close(self) -> None:
         self._place.unlink(missing_ok=True)
+        self._held.release()
         os.close(self._master)
         os.close(self._slave)
 
@@ -93,16 +97,18 @@ class UdpOutlet:
     ) -> None:
         """`bind`: the address of this computer at which it can be reached, and the port; 0: any
         that is free. Raises OSError."""
+        self._place = udp_place(folder, machine, device)
+        self._held = _Held(self._place)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(bind)
         except OSError:
             self._socket.close()
+            self._held.release()
             raise
         self._socket.setblocking(False)
         host, port = self._socket.getsockname()
         self.where = f"{host}:{port}"
-        self._place = udp_place(folder, machine, device)
         unfinished = self._place.with_name(f".{self._place.name}")
         unfinished.write_text(self.where + "\n")
         unfinished.replace(self._place)
@@ -155,7 +161,31 @@ class UdpOutlet:
 
     def close(self) -> None:
         self._place.unlink(missing_ok=True)
+        self._held.release()
         self._socket.close()
+
+
+class _Held:
+    """A stable name that is this process' as long as it lives, however it ends."""
+
+    def __init__(self, place: Path) -> None:
+        """Raises OSError if another process has it."""
+        self._path = place.with_name(f".{place.name}.lock")
+        while True:
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                os.close(self._file)
+                reason = f"{place} is another plant's: end that, or name another --ports"
+                raise OSError(errno.EADDRINUSE, reason) from error
+            if self._path.exists() and os.path.samestat(os.fstat(self._file), self._path.stat()):
+                return
+            os.close(self._file)  # whoever had it has just removed it
+
+    def release(self) -> None:
+        self._path.unlink(missing_ok=True)
+        os.close(self._file)
 
 
 def _nonce(packet: bytes) -> bytes:

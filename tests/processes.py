@@ -25,12 +25,15 @@ from headway.configs.load import load_config
 from headway.controller.record.columns import Arrays
 from headway.controller.record.reader import read_run
 from headway.devices.keys import draw_keys
+from headway.sim.truth import TRUTH_US
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 CONFIG = CONFIGS / "arm2.yaml"
 PATIENCE_S = 60.0
 LOAD = ["headway.cli.live", "headway.controller.live", "headway.sim.realtime", "osqp", "casadi"]
 NEVER = -1.0
+STILL_RAD = 1e-3  # that an axis may creep at rest, as in scripts/bench mishaps
+AFTER_US = 250_000  # beyond the plan: five of the time constants (Kd / Kp) of arm2's servos
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([*LOAD, __name__])
@@ -185,6 +188,43 @@ def ways(truth: Arrays, from_us: int, to_us: int) -> np.ndarray:
     within = (truth["truth_us"] >= from_us) & (truth["truth_us"] <= to_us)
     assert within.any(), "nothing was recorded there"
     return np.ptp(truth["truth_position"][within], axis=0)
+
+
+@dataclass(frozen=True)
+class Coast:
+    """How a machine came to rest that was left to its last plan."""
+
+    speed: float  # of the fastest axis just before [rad/s]
+    setpoints_us: list[int]  # by axis: from then on until its setpoint moved no more
+    moved: float  # the most that an axis moved once it had to rest [rad]
+    broken: list[str]  # what of this should not be
+
+    def __str__(self) -> str:
+        rests = " and ".join(f"{rest_us * 1e-3:.0f}" for rest_us in self.setpoints_us)
+        return (
+            f"{self.speed:.2f} rad/s, setpoints at rest after {rests} ms, "
+            f"moved by {1e3 * self.moved:.2f} mrad from then on"
+        )
+
+
+def coast(machine: Machine, truth: Arrays, left_us: int, to_us: int) -> Coast:
+    """Of a machine that nobody told anything from `left_us` on, and nobody may have moved up to
+    `to_us`. Its setpoints rest within the plan, as its devices count time; its axes, which swing
+    about them, a little later."""
+    within = (truth["servo_us"] > left_us) & (truth["servo_us"] <= to_us)
+    times_us, moves = truth["servo_us"][within], truth["servo_setpoint_rate_pq"][within] != 0
+    assert within.any(), "nothing was recorded there"
+    rests = [int(max(times_us[axis], default=left_us)) - left_us for axis in moves.T]
+    allowed_us = machine.plan_us + machine.config.sync.limit_us + TRUTH_US
+    rested_us = left_us + machine.plan_us + AFTER_US
+    until_us = max(to_us, rested_us + AFTER_US)
+    moved = float(ways(truth, rested_us, until_us).max())
+    broken = []
+    if max(rests) > allowed_us:
+        broken.append(f"a setpoint moves {max(rests)} us after, of {allowed_us} that a plan lasts")
+    if moved > STILL_RAD:
+        broken.append(f"an axis moves by {moved:.4f} rad after the plan")
+    return Coast(speeds(truth, left_us - 20_000, left_us).max(), rests, moved, broken)
 
 
 def within_limits(machine: Machine, truth: Arrays) -> bool:

@@ -9,6 +9,7 @@ import shlex
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -16,9 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from headway.cli.linked import Linked
 from headway.cli.main import main
 from headway.cli.simulation import Simulation
 from headway.cli.truth import with_truth
+from headway.cli.wall import WallClock
 from headway.configs.load import load_config
 from headway.controller.record.reader import read_run
 from headway.controller.reference import task_reference
@@ -34,9 +37,9 @@ SEEDS = 6
 PATIENCE_S = 200  # of a computer that is busy beyond all measure
 
 
-def start(*words: str) -> subprocess.Popen[str]:
+def start(*words: str, stderr: int | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [*HEADWAY, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [*HEADWAY, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, text=True
     )
 
 
@@ -167,8 +170,10 @@ def test_a_plant_prints_what_reaches_it(tmp_path: Path, capsys: pytest.CaptureFi
     changes = ["--set", "sync.limit_us=1500", "--set", "sim.to_host.delay_us=3500"]
     at = ["--link", "udp", "--bind", "127.0.0.2", "--port", str(port)]
     ports = ["--ports", str(tmp_path / "ports")]
-    plant = start("plant", CONFIG, *at, *keys, *ports, *changes, "--until-eof")
-    assert plant.stdout is not None and plant.stdin is not None
+    words = [CONFIG, *at, *keys, *ports, *changes, "--until-eof"]
+    plant = start("plant", *words, stderr=subprocess.PIPE)
+    assert plant.stdout is not None and plant.stdin is not None and plant.stderr is not None
+    assert plant.stderr.readline().startswith("reachable from other computers, at 127.0.0.2: ")
     lines = [plant.stdout.readline() for _ in range(3)]
     assert lines[:2] == [f"q1: 127.0.0.2:{port}\n", f"q2: 127.0.0.2:{port + 1}\n"]
     said = shlex.split(lines[2].removeprefix("to control it: "))
@@ -183,6 +188,24 @@ def test_a_plant_prints_what_reaches_it(tmp_path: Path, capsys: pytest.CaptureFi
     assert [row["name"] for row in json.loads(capsys.readouterr().out)] == ["q1", "q2"]
     plant.stdin.close()
     assert plant.wait(PATIENCE_S) == 0
+
+
+def test_a_plant_of_ones_own_has_keys_of_its_own_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each time others, which no machine has; and neither they nor the plant stay."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    config = load_config(CONFIGS / "arm2.yaml")
+    drawn = []
+    for _ in range(2):
+        with Linked("udp", spawn=True).machine(CONFIGS / "arm2.yaml", config, []) as reached:
+            with reached.link(WallClock()):
+                assert reached.alive()
+            drawn += [*reached.keys.devices.values(), reached.keys.sync]
+        assert not reached.alive()
+        assert list(tmp_path.iterdir()) == []
+    assert len(set(drawn)) == len(drawn) == 6
 
 
 def test_the_keys_of_a_killed_run_do_not_stay(tmp_path: Path) -> None:

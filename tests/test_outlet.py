@@ -2,7 +2,10 @@
 
 import os
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -73,10 +76,74 @@ def test_a_device_that_nobody_reads_is_not_held_up(pty_outlet: PtyOutlet, tmp_pa
 def test_a_serial_port_is_one_hosts(pty_outlet: PtyOutlet, tmp_path: Path) -> None:
     place = str(serial_place(tmp_path, "arm", "q1"))
     port = SerialPort(place)
-    with pytest.raises(PortError, match="cannot be opened"):
+    with pytest.raises(PortError, match="cannot be opened: another program has it"):
         SerialPort(place)
     port.close()
     SerialPort(place).close()
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from headway.devices.port import SerialPort
+from headway.sim.outlet import PtyOutlet, UdpOutlet
+what, where = sys.argv[1:]
+kinds = {"pty": PtyOutlet, "udp": UdpOutlet}
+held = kinds[what](Path(where), "arm", "q1") if what in kinds else SerialPort(where)
+print("held", flush=True)
+time.sleep(600)
+"""
+
+
+@contextmanager
+def held_elsewhere(what: str, where: Path) -> Iterator[subprocess.Popen[str]]:
+    """By another process, which is killed in the end."""
+    words = [sys.executable, "-c", HOLDER, what, str(where)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "held\n"
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_serial_port_of_a_killed_host_is_free(pty_outlet: PtyOutlet, tmp_path: Path) -> None:
+    place = serial_place(tmp_path, "arm", "q1")
+    with (
+        held_elsewhere("port", place),
+        pytest.raises(PortError, match="cannot be opened: another program has it"),
+    ):
+        SerialPort(str(place))
+    SerialPort(str(place)).close()
+
+
+@pytest.mark.parametrize("kind", ["pty", "udp"])
+def test_a_stable_name_is_one_plants_and_outlives_none(tmp_path: Path, kind: str) -> None:
+    """Another plant cannot have it while the first lives. One that was killed leaves its name
+    behind, which leads nowhere; the next plant's leads to that."""
+    make = {"pty": PtyOutlet, "udp": UdpOutlet}[kind]
+    place = (serial_place if kind == "pty" else udp_place)(tmp_path, "arm", "q1")
+
+    def leads_to() -> str:
+        return os.readlink(place) if kind == "pty" else place.read_text().strip()
+
+    with held_elsewhere(kind, tmp_path):
+        theirs = leads_to()
+        with pytest.raises(OSError, match="is another plant's: end that"):
+            make(tmp_path, "arm", "q1")
+        assert leads_to() == theirs
+        make(tmp_path, "arm", "q2").close()
+    assert leads_to() == theirs
+    outlet = make(tmp_path, "arm", "q1")
+    (port,), failed = open_places(tmp_path, Links(serial=[]), kind == "udp")
+    assert failed == []
+    port.write(b"\1here")
+    assert outlet.read()[-1:] == [b"\1here"]
+    port.close()
+    outlet.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_pulled_cable_is_told(tmp_path: Path) -> None:
@@ -180,6 +247,33 @@ def test_devices_are_found_by_their_keys(tmp_path: Path, udp: bool) -> None:
         port.close()
     for outlet in outlets:
         outlet.close()
+
+
+def test_an_announce_that_was_recorded_is_none(tmp_path: Path) -> None:
+    """At an address of the config somebody repeats what the device said to an earlier search: its
+    key is right, its nonce is not."""
+    (tmp_path / "ports").mkdir()
+    outlet = UdpOutlet(tmp_path, "arm", "q1")
+    links = Links(serial=[], udp=[outlet.where])
+    recorded = b""
+    for search_seed in (1, 2):
+        (port,), _ = open_places(tmp_path / "ports", links, udp=True)
+        search = Search([port], {"q1": KEY}, np.random.default_rng(search_seed))
+        search.ask()
+        (hello,) = outlet.read()
+        nonce = (_core.cobs_decode(hello) or b"")[2:18]
+        fresh = _core.welcome(KEY, nonce, bytes(16))
+        host = outlet._hellos[nonce]
+        if recorded:
+            outlet._socket.sendto(recorded, host)
+            search.listen()
+            assert search.missing == ["q1"]
+        recorded = fresh
+        outlet.write(fresh)
+        search.listen()
+        assert search.missing == []
+        port.close()
+    outlet.close()
 
 
 def test_a_session_begins_over_ports(udp_outlet: UdpOutlet) -> None:

@@ -48,9 +48,9 @@ def chaos(
 
     Example: a controller that loses a packet in ten, and the wire twice a minute.
 
-        headway plant configs/arm2.yaml --ports good
+        headway plant configs/arm2.yaml --ports good --set sync.limit_us=2000
         headway chaos good bad --set loss=0.1 --partition-every 30
-        headway run configs/arm2.yaml --link serial --ports bad
+        headway run configs/arm2.yaml --link serial --ports bad --set sync.limit_us=2000
 
     Parameters
     ----------
@@ -102,7 +102,9 @@ def chaos(
             said = "; ".join(failed) or f"{devices}: there is no {link} port"
             raise Failure(ExitCode.DEVICE, said)
         places = sorted(
-            p.name for p in devices.iterdir() if (p.suffix == ".udp") == (link == "udp")
+            p.name
+            for p in devices.iterdir()
+            if (p.suffix == ".udp") == (link == "udp") and not p.name.startswith(".")
         )
         outlets = []
         for place in places:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Kind = Literal["serial", "udp"]
 Factor = Annotated[float, Parameter(name="--realtime-factor")]
 PATIENCE_S = 10.0  # until every device has to have answered
+OWN_PATIENCE_S = 60.0  # with a plant of our own: that it has ended is seen at once
 ROUND_S, ASK_S, LOOK_S = 2.0, 0.2, 0.01
 END_S = 10.0  # for a spawned plant to finish its record
 SCRATCH_KEYS, SCRATCH_PORTS = "keys", "ports"  # in the folder of a spawned plant
@@ -67,15 +68,14 @@ class Linked:
         in `record`, if that is asked for. Raises Failure."""
         if not self.spawn:
             keys = machine_keys(config, path, self.keys)
-            yield Reached(self, config, keys, place_folder(self.ports), lambda: True)
+            yield Reached(self, config, keys, place_folder(self.ports), lambda: True, PATIENCE_S)
             return
         with ExitStack() as stack:
             home = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="headway-")))
             keys = _ephemeral(home / SCRATCH_KEYS, config)
             plant = stack.enter_context(_spawned(self, path, changes, home, record))
-            yield Reached(
-                self, config, keys, place_folder(home / SCRATCH_PORTS), lambda: plant.poll() is None
-            )
+            folder = place_folder(home / SCRATCH_PORTS)
+            yield Reached(self, config, keys, folder, lambda: plant.poll() is None, OWN_PATIENCE_S)
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ class Reached:
     keys: Keys
     places: Path
     alive: Callable[[], bool]  # whether a plant of our own still runs
+    patience_s: float  # with devices that do not answer
 
     def remotes(self) -> list[Remote]:
         """Its devices, of which nothing has been heard yet."""
@@ -107,7 +108,9 @@ class Reached:
     def link(self, clock: WallClock) -> Iterator[PortLink]:
         """Finds the devices and links them, in real time as far as this computer allows; says what
         it does not. Raises Failure."""
-        ports = find_ports(self.keys, self._open_all, operating_system_rng(), self.alive)
+        ports = find_ports(
+            self.keys, self._open_all, operating_system_rng(), self.patience_s, self.alive
+        )
         with self._over(ports, clock) as link:
             yield link
 
@@ -115,7 +118,9 @@ class Reached:
     def some(self, clock: WallClock) -> Iterator[tuple[PortLink, list[str], str]]:
         """The same with those devices that answer: the link, their names in its order, and what was
         found at each port if one does not answer."""
-        found, said = find_devices(self.keys, self._open_all, operating_system_rng(), self.alive)
+        found, said = find_devices(
+            self.keys, self._open_all, operating_system_rng(), self.patience_s, self.alive
+        )
         names = [name for name in self.keys.devices if name in found]
         with self._over([found[name] for name in names], clock) as link:
             yield link, names, said
@@ -231,13 +236,14 @@ def find_ports(
     keys: Keys,
     open_all: Callable[[], tuple[list[Port], list[str]]],
     rng: np.random.Generator,
-    alive: Callable[[], bool] = lambda: True,
+    patience_s: float,
+    alive: Callable[[], bool],
 ) -> list[Port]:
     """The port of each device, in the order of the keys.
 
     Raises Failure with what was found at each port, if a device does not answer.
     """
-    found, said = find_devices(keys, open_all, rng, alive)
+    found, said = find_devices(keys, open_all, rng, patience_s, alive)
     if said:
         for port in found.values():
             port.close()
@@ -249,13 +255,14 @@ def find_devices(
     keys: Keys,
     open_all: Callable[[], tuple[list[Port], list[str]]],
     rng: np.random.Generator,
+    patience_s: float,
     alive: Callable[[], bool],
 ) -> tuple[dict[str, Port], str]:
     """The ports of the devices that answer, by name; and what was found at each port, if not all
     do. Opens all ports anew until all have answered: a plant may just be starting."""
     from headway.devices.discovery import Search
 
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + patience_s
     while True:
         ports, failed = open_all()
         search = Search(ports, keys.devices, rng)

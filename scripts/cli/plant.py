@@ -63,8 +63,8 @@ def plant(
     Example: a plant in one terminal, its controller in another.
 
         headway keys configs/arm2.yaml
-        headway plant configs/arm2.yaml --link udp
-        headway run configs/arm2.yaml --link udp
+        headway plant configs/arm2.yaml --link udp --set sync.limit_us=1000
+        headway run configs/arm2.yaml --link udp --set sync.limit_us=1000
 
     Parameters
     ----------

@@ -49,7 +49,8 @@ def run(
     boards, or a plant in another process (`headway plant`).
 
     Leaves a folder with config.yaml (the config as used, which can be run again), run.mcap (every
-    packet and every tick, and the plant's truth at 1 kHz) and summary.json. Ctrl-C brings the
+    packet and every tick, and the plant's truth at 1 kHz) and summary.json; with --spawn the truth
+    is in plant.mcap. Ctrl-C brings the
     machine to rest first and keeps what there is; a second one gives up. A run that is killed
     leaves the record up to then.
 
@@ -148,33 +149,40 @@ def _run_simulated(
     """In virtual time."""
     lockstep = _set_up(path, config, recording)
     with View(lockstep.plant) if view else nullcontext() as window:
-        _drive(lockstep, made, window)
+        _drive(lockstep, made, Bar(config.name, config.duration_s), window)
     return lockstep
 
 
 def _run_live(
     linked: Linked, path: Path, config: Config, changes: list[str], recording: Recording, made: Made
 ) -> tuple[Live, dict[str, int]]:
-    """On the wall clock. Also what the link has counted."""
+    """On the wall clock. Also what the link has counted. Says before how long it takes, and nothing
+    while it runs: a terminal may stand still, and what draws there takes the interpreter's time."""
     with live(linked, path, config, changes, made.path, recording) as (driver, link):
-        _drive(driver, made, None)
+        seconds = config.duration_s / linked.factor
+        print(
+            f"{config.name}: {seconds:g} s once the clocks agree; Ctrl-C brings it to rest",
+            file=sys.stderr,
+        )
+        _drive(driver, made, None, None)
     return driver, link.counts() | {"frames_bad": driver.frames_bad()}
 
 
-def _drive(driver: Driver, made: Made, window: View | None) -> None:
+def _drive(driver: Driver, made: Made, bar: Bar | None, window: View | None) -> None:
     """Runs to the end, or until Ctrl-C. Raises Failure if a device fails."""
     from headway.controller.tick import DeviceError
     from headway.sim.plant import UnstableError
 
     try:
         with (
-            Bar(driver.config.name, driver.config.duration_s) as bar,
+            bar or nullcontext(),
             signals_stop(driver),
             redirect_stdout(sys.stderr),  # standard output is for the summary alone
         ):
 
             def progress(done_s: float) -> None:
-                bar.update(done_s)
+                if bar:
+                    bar.update(done_s)
                 if window:
                     window.show(done_s)
 
