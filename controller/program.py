@@ -112,9 +112,17 @@ class Program:
         matrix.data[:] = entries[:, 0]
         return matrix
 
+    def hessian(self) -> sp.csc_matrix:
+        """Of the last program, in its scales: the upper half."""
+        matrix = self.ocp.hessian.copy()
+        if "curvature" in self.pool:
+            entries = squaring(self._library, self.ocp, dict(self.pool)).run()[0]
+            matrix.data[:] = entries[:, 0]
+        return matrix
+
     def cost(self, z: Array) -> float:
         """Of variables in the scales of the last program, but for a constant."""
-        half = self.ocp.hessian
+        half = self.hessian()
         twice = float(z @ (half @ z)) * 2 - float(z**2 @ half.diagonal())
         return twice / 2 + float(self.pool["gradient"][:, 0] @ z)
 
