@@ -38,7 +38,7 @@ INTERVALS, AXES = (5, 10, 20, 40, 80), (2, 3, 4, 6, 8, 10, 12)
 USUAL_INTERVALS, USUAL_AXES = 20, 6  # while the other varies
 SOLVERS = "riccati", "hpipm", "osqp"
 PERCENTS = {"p50": 50, "p99": 99}
-SETTLED = 10  # ticks that are not counted: the first ones load code and caches
+SETTLED = 20  # ticks that are not counted: the first ones load code and caches
 # The exponents that there should be at most.
 LINEAR, QUADRATIC = 1.0, 2.0
 
@@ -156,7 +156,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def main() -> int:
     options = arguments((__doc__ or "").splitlines()[0], add)
-    ticks = 1000 if options.long else 200
+    ticks = 1000 if options.long else 300
     rows: list[dict[str, Any]] = []
     slopes, goals = [], []
     with tempfile.TemporaryDirectory(prefix="headway-growth-") as folder:
