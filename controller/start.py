@@ -48,7 +48,8 @@ class Start:
         prediction: Prediction,
         gains: Gains,
     ) -> None:
-        self._axes, self._period_us = config.machine.axes, config.device.servo_period_us
+        self._axes, self._period_us = config.machine.boards, config.device.servo_period_us
+        self._rest = [axis.rest for axis in config.machine.bare.values()]
         self._joints = [axis.joint for axis in self._axes]
         self._driven = list(config.machine.driven)  # the others are only listened to
         self._remotes, self._units, self._prediction = remotes, units, prediction
@@ -61,7 +62,7 @@ class Start:
         self._resumed: list[bool] = []
         self.phase = Phase.HELLO
         self.knot = 0
-        self.position = self.torque = np.zeros(len(remotes))
+        self.position = self.torque = np.zeros(prediction.n)
 
     def tick(self, knot: int, samples: list[Sample]) -> Outbox:
         """What to send at a knot. Samples are taken out of the list once they are of no more use.
@@ -180,14 +181,15 @@ class Start:
         return False
 
     def _standing_at(self, samples: list[Sample]) -> Array:
-        """Median of the last samples of each axis: an outlier does not move it."""
+        """Median of the last samples of each axis: an outlier does not move it. Those without an
+        encoder are where the config says."""
         medians = []
         for axis, joint in enumerate(self._joints):
             values = [s.position for s in samples if s.axis == axis]
             if not values:
                 raise DeviceError(f"{joint}: no samples arrive")
             medians.append(np.median(values[-50:]))
-        return np.array(medians)
+        return np.array(medians + self._rest)
 
     def _still(self) -> list[Points]:
         """Points that stand still at the position, with the torque that holds it and the gains."""

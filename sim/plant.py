@@ -37,7 +37,8 @@ def start_of(config: Config, reference: Reference) -> list[float]:
 
 
 class Plant:
-    """Steps the machine; each axis of the config is one node (device and board).
+    """Steps the machine; each axis of the config is one node (device and board), but for the last
+    ones if they have no encoder.
 
     Raises ValueError where config and model do not fit together.
     """
@@ -61,12 +62,13 @@ class Plant:
         boards = {name: a for a, name in enumerate(map(self._driven, range(self.model.nu)))}
         for axis in machine.axes:
             joint = self.model.joint(axis.joint).id
+            self._qpos.append(self.model.jnt_qposadr[joint])
+            self._dof.append(self.model.jnt_dofadr[joint])
+        for axis in machine.boards:
             actuator = boards[axis.joint]
             window = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
             numbers = self.data.plugin_state[window : window + _board.NODE_NUMBERS]
             self.nodes.append(_board.Node(numbers))
-            self._qpos.append(self.model.jnt_qposadr[joint])
-            self._dof.append(self.model.jnt_dofadr[joint])
             self._actuator.append(actuator)
         self.position = np.array(start)
 
@@ -118,7 +120,9 @@ class Plant:
     @property
     def torque(self) -> NDArray[np.float64]:
         """Torque (or force) of motor and brake [Nm or N], by axis."""
-        return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
+        torque = np.zeros(len(self._dof))
+        torque[: len(self._actuator)] = self.data.actuator_force[self._actuator]
+        return torque
 
     def set_bridge(self, capacitance_F: float) -> None:
         """Capacitance of every board's bridge [F]; 0: the supply takes back what it is fed."""
