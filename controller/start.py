@@ -139,24 +139,32 @@ class Start:
     def _arm(self) -> None:
         self._resumed = [bool(r.status and r.status.state == HOLD) for r in self._remotes]
         for device in self._driven:
-            if self._resumed[device]:
-                self._remotes[device].ask("RESUME")
-            else:
-                torque_tq = self._units[device].torque_points(self.torque[device])
-                self._remotes[device].ask("ARM", int(torque_tq))
+            self._ask_to_arm(device)
+
+    def _ask_to_arm(self, device: int) -> None:
+        if self._resumed[device]:
+            self._remotes[device].ask("RESUME")
+        else:
+            torque_tq = self._units[device].torque_points(self.torque[device])
+            self._remotes[device].ask("ARM", int(torque_tq))
 
     def _armed(self) -> bool:
-        """Whether every device has taken its load."""
+        """Whether every device has taken its load. One that was not at rest is asked again for a
+        while: as the others take theirs a light joint swings in its brake."""
+        late = []
         for device in self._driven:
             axis, units, remote = self._axes[device], self._units[device], self._remotes[device]
             answer, status = remote.answer(), remote.status
-            if answer is None or status is None:
+            swings = answer == "MOVING" and not self._homing and self._ticks < ARM_TICKS
+            if swings:
+                self._ask_to_arm(device)
+            if answer is None or status is None or swings:
+                late.append(axis.joint)
                 continue
             if answer != "DONE":
                 raise DeviceError(f"{axis.joint}: the device does not arm: {answer}")
             if status.state != ARMED:
                 raise DeviceError(f"{axis.joint}: {why(status, axis, units, self._period_us)}")
-        late = [self._joints[d] for d in self._driven if not self._remotes[d].answer()]
         if not late:
             return True
         if self._ticks > ARM_TICKS:
