@@ -122,6 +122,11 @@ class _Axis(Section):
     """The joint's name in the model."""
 
     @property
+    def board(self) -> bool:
+        """It has one, with an encoder."""
+        return True
+
+    @property
     def lowest(self) -> float:
         """Of its positions, SI: minus infinity if it is continuous."""
         axis: Any = self
@@ -187,10 +192,7 @@ class _Driven(_Axis):
         return (high - low) / 8 if given is None else given
 
 
-class _Passive(_Axis):
-    passive: Literal[True]
-    """It has no motor: an encoder and its board, which is never armed."""
-
+class _NoMotor(_Axis):
     @property
     def effort_limit(self) -> float:
         """Nothing drives it."""
@@ -203,8 +205,30 @@ class _Passive(_Axis):
 
     @property
     def homing(self) -> None:
-        """Its encoder knows where it is."""
+        """Its encoder, if there is one, knows where it is."""
         return None
+
+
+class _Passive(_NoMotor):
+    passive: Literal[True]
+    """It has no motor: an encoder and its board, which is never armed."""
+
+
+class _Bare(_NoMotor):
+    passive: Literal[True]
+    """It has no motor."""
+    encoder: Literal[False]
+    """It has no encoder either, and no board: where it is has to show in how the others move."""
+
+    @property
+    def board(self) -> bool:
+        """It has none."""
+        return False
+
+    @property
+    def counts_per_unit(self) -> float:
+        """No encoder counts."""
+        return 0.0
 
 
 def _ends_by_kind(schema: dict[str, Any]) -> None:
@@ -222,8 +246,6 @@ def _ends_by_kind(schema: dict[str, Any]) -> None:
 class _Rotary(_Axis):
     model_config = ConfigDict(json_schema_extra=_ends_by_kind)
 
-    counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
-    """Encoder counts per turn of the joint."""
     continuous: bool = False
     """It turns for ever: there are no position limits, and no soft ones."""
     position_min: Finite | None = Field(default=None, alias="position_min_rad")
@@ -263,6 +285,11 @@ class _Rotary(_Axis):
     def effort_unit(self) -> str:
         return "Nm"
 
+
+class _RotaryEncoder(_Rotary):
+    counts_per_turn: Annotated[int, Field(ge=16, le=2**22)]
+    """Encoder counts per turn of the joint."""
+
     @property
     def counts_per_unit(self) -> float:
         """Encoder counts per radian."""
@@ -270,8 +297,6 @@ class _Rotary(_Axis):
 
 
 class _Linear(_Axis):
-    counts_per_m: Annotated[float, Field(ge=16, le=1e10)]
-    """Encoder counts per metre of the joint's way."""
     position_min: Finite = Field(alias="position_min_m")
     """The lowest position that any plan may have."""
     position_max: Finite = Field(alias="position_max_m")
@@ -296,13 +321,18 @@ class _Linear(_Axis):
     def effort_unit(self) -> str:
         return "N"
 
+
+class _LinearEncoder(_Linear):
+    counts_per_m: Annotated[float, Field(ge=16, le=1e10)]
+    """Encoder counts per metre of the joint's way."""
+
     @property
     def counts_per_unit(self) -> float:
         """Encoder counts per metre."""
         return self.counts_per_m
 
 
-class RotaryAxis(_Rotary, _Driven):
+class RotaryAxis(_RotaryEncoder, _Driven):
     """A hinge with its motor, encoder and board."""
 
     velocity_limit: Positive = Field(alias="velocity_limit_rad_per_s")
@@ -334,7 +364,7 @@ class RotaryAxis(_Rotary, _Driven):
         return mistakes
 
 
-class LinearAxis(_Linear, _Driven):
+class LinearAxis(_LinearEncoder, _Driven):
     """A slide with its motor, encoder and board."""
 
     velocity_limit: Positive = Field(alias="velocity_limit_m_per_s")
@@ -357,12 +387,30 @@ class LinearAxis(_Linear, _Driven):
     """How the board finds out where the axis is. Default: the encoder knows."""
 
 
-class RotaryPassive(_Rotary, _Passive):
+class RotaryPassive(_RotaryEncoder, _Passive):
     """A hinge without a motor: its encoder and board."""
 
 
-class LinearPassive(_Linear, _Passive):
+class LinearPassive(_LinearEncoder, _Passive):
     """A slide without a motor: its encoder and board."""
+
+
+class RotaryBare(_Rotary, _Bare):
+    """A hinge with neither motor nor encoder."""
+
+    rest: Finite = Field(alias="rest_rad")
+    """Where it rests at power-up: there the estimate begins."""
+    rest_sigma: Positive = Field(default=0.1, alias="rest_sigma_rad")
+    """Give or take this, as a standard deviation."""
+
+
+class LinearBare(_Linear, _Bare):
+    """A slide with neither motor nor encoder."""
+
+    rest: Finite = Field(alias="rest_m")
+    """Where it rests at power-up: there the estimate begins."""
+    rest_sigma: Positive = Field(default=0.01, alias="rest_sigma_m")
+    """Give or take this, as a standard deviation."""
 
 
 class _Sine(Section):
@@ -459,7 +507,12 @@ def _read_axis(value: Any, _: object) -> Section:
     drive = sorted(_given(value) & {"motor", "servo"})
     if drive and value["passive"] is True:
         raise ValueError(f"a passive axis has no {drive[0]}: remove it, or passive: true")
-    return _either(RotaryPassive, LinearPassive, value)
+    if "encoder" not in value:
+        return _either(RotaryPassive, LinearPassive, value)
+    counts = sorted(_given(value) & {"counts_per_turn", "counts_per_m"})
+    if counts and value["encoder"] is False:
+        raise ValueError(f"{counts[0]} is of an encoder: remove it, or encoder: false")
+    return _either(RotaryBare, LinearBare, value)
 
 
 def _read_sine(value: Any, _: object) -> Section:
@@ -468,5 +521,6 @@ def _read_sine(value: Any, _: object) -> Section:
 
 DrivenAxis = RotaryAxis | LinearAxis
 PassiveAxis = RotaryPassive | LinearPassive
-Axis = Annotated[DrivenAxis | PassiveAxis, WrapValidator(_read_axis)]
+BareAxis = RotaryBare | LinearBare
+Axis = Annotated[DrivenAxis | PassiveAxis | BareAxis, WrapValidator(_read_axis)]
 Sine = Annotated[RotarySine | LinearSine, WrapValidator(_read_sine)]

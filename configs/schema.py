@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from headway.configs.axis import Axis, DrivenAxis, Sine
+from headway.configs.axis import Axis, BareAxis, DrivenAxis, Sine
 from headway.configs.section import (
     LARGE,
     ByAxis,
@@ -28,7 +29,7 @@ class Machine(Section):
     """The MJCF or URDF file; a relative path starts at the config."""
     axes: Annotated[list[Axis], Field(min_length=1)]
     """All joints, in the model's order: the order of the devices. One with `passive: true` has an
-    encoder alone.
+    encoder alone, with `encoder: false` beside it not even that.
     """
 
     coupling: list[list[Finite]] | None = None
@@ -42,10 +43,32 @@ class Machine(Section):
         """The axes with a motor, by their index."""
         return {i: axis for i, axis in enumerate(self.axes) if not axis.passive}
 
+    @property
+    def boards(self) -> list[Axis]:
+        """The axes with a device of their own: the first ones, so that a device has its axis'
+        index."""
+        return [axis for axis in self.axes if axis.board]
+
+    @property
+    def bare(self) -> dict[int, BareAxis]:
+        """The others, by their index."""
+        return {i: axis for i, axis in enumerate(self.axes) if isinstance(axis, BareAxis)}
+
     @model_validator(mode="after")
     def _moves(self) -> Machine:
         if not self.driven:
             raise ValueError("every axis is passive: nothing can move the machine")
+        for axis, later in pairwise(self.axes):
+            if later.board and not axis.board:
+                raise ValueError(
+                    f"{axis.joint} has no encoder and comes before {later.joint}, which has one: "
+                    "joints without an encoder have to be the model's last ones; give it an encoder"
+                )
+        if self.coupling and self.bare:
+            raise ValueError(
+                "coupling is of motors and encoders, and an axis with encoder: false has neither: "
+                "leave one of the two out"
+            )
         n = len(self.axes)
         if self.coupling and [len(row) for row in self.coupling] != [n] * n:
             raise ValueError(f"coupling needs {n} rows of {n} numbers: one for each axis and joint")
@@ -500,7 +523,14 @@ class Config(Section):
             for i, mishap in enumerate(self.sim.mishaps)
             if mishap.joint is not None and mishap.joint not in joints
         ]
-        mistakes += self._of_cables(joints)
+        mistakes += [
+            f"sim.mishaps.{i} is of a board, and {mishap.joint} has none: only a push can happen "
+            "to it"
+            for i, mishap in enumerate(self.sim.mishaps)
+            if mishap.kind != "push"
+            and mishap.joint in {axis.joint for axis in self.machine.bare.values()}
+        ]
+        mistakes += self._of_cables([axis.joint for axis in self.machine.boards])
         heavy = [axis.joint for axis in self.machine.driven.values() if axis.carries_gravity]
         if self.device.torque_gap == "zero" and heavy:
             mistakes.append(
@@ -524,7 +554,7 @@ class Config(Section):
                 if joint not in joints:
                     known = ", ".join(joints)
                     mistakes.append(
-                        f"sync.cables.{i}.joints has {joint}; the machine's joints are {known}"
+                        f"sync.cables.{i}.joints has {joint}; the joints with boards are {known}"
                     )
                 elif taken.setdefault(end, i) != i:
                     mistakes.append(

@@ -3,13 +3,15 @@
 An extended Kalman filter over z = [q, v, d] (d: disturbance torque, a random walk) whose process is
 the machine with its servo loops. Samples are kept in order of their stamps, with the filter's state
 after each; one that comes late is put in its place and the later ones are replayed, so the estimate
-does not depend on the order of arrival. The filter (filter.cpp) is compiled and does a whole update
-in one call; process noise: white acceleration (Bar-Shalom, Li, Kirubarajan, Estimation with
+does not depend on the order of arrival. An axis without an encoder has no samples: it is estimated
+by what it does to the others (observable.py). The filter (filter.cpp) is compiled and does a whole
+update in one call; process noise: white acceleration (Bar-Shalom, Li, Kirubarajan, Estimation with
 Applications, 2001, section 6.2).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -59,14 +61,24 @@ class Estimator:
     """Keeps the samples of the last quarter second and the filter after each of them."""
 
     def __init__(
-        self, prediction: Prediction, config: EstimatorConfig, unit_per_count: Array
+        self,
+        prediction: Prediction,
+        config: EstimatorConfig,
+        unit_per_count: Array,
+        bare: Mapping[int, float] | None = None,
     ) -> None:
+        """`bare`: of the axes without an encoder, of which no sample ever comes, how well it is
+        known where they rest at a reset, as a standard deviation [rad or m]. No disturbance is
+        estimated there: a constant one would look like another position."""
         n = self._n = prediction.n
         acceleration = np.array(by_axis(config.acceleration_noise_rad_or_m_per_s15, n)) ** 2
         walk = np.array(by_axis(config.disturbance_noise_Nm_or_N_per_s05, n))
         walk = config.disturbance * walk**2
         reading = (config.measurement_noise_counts * unit_per_count) ** 2
-        start = np.concatenate((np.repeat(START_SIGMA, n) ** 2, START_WALK_S * walk))
+        sigma = np.repeat(START_SIGMA, n)
+        for axis, rest_sigma in (bare or {}).items():
+            sigma[axis], walk[axis] = rest_sigma, 0.0
+        start = np.concatenate((sigma**2, START_WALK_S * walk))
         self._start_covariance = np.diag(start)
         step = prediction.call("step").bound  # with arrays of its own
         outlier = config.gate_sigma**2, REJECTED_IN_A_ROW

@@ -22,6 +22,7 @@ from headway.controller.feedforward import Feedforward
 from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.mpc import Mpc
+from headway.controller.observable import require_observable
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.recorder import Recorder
 from headway.controller.reference import ENTRY_S, Custom, Entry, Reference
@@ -67,7 +68,8 @@ class Loop:
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
         self._least_us = config.sync.to_device_least_us  # no frame arrives sooner
-        self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
+        self._boards = config.machine.boards
+        self._units = [AxisUnits.of(axis, config.loop) for axis in self._boards]
         moved_units = [self._units[axis] for axis in driven]
         self._limits = [
             {
@@ -87,8 +89,11 @@ class Loop:
             )
         self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
         self._unit_per_count = [u.unit_per_count for u in self._units]
-        pitch = np.array(self._unit_per_count)
-        self.estimator = Estimator(self._prediction, config.estimator, pitch)
+        bare = config.machine.bare
+        require_observable(config, machine, reference.at(np.zeros(1))[0][0])
+        pitch = np.array(self._unit_per_count + [np.inf] * len(bare))
+        rest_sigma = {i: axis.rest_sigma for i, axis in bare.items()}
+        self.estimator = Estimator(self._prediction, config.estimator, pitch, rest_sigma)
         gains = Gains(config, machine, points)
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
@@ -216,21 +221,19 @@ class Loop:
         come to rest together."""
         stopped = [
             f"{axis.joint}: {why(remote.status, axis, units, self._config.device.servo_period_us)}"
-            for axis, units, remote in zip(
-                self._config.machine.axes, self._units, self._remotes, strict=True
-            )
+            for axis, units, remote in zip(self._boards, self._units, self._remotes, strict=True)
             if remote.status is not None and not fit(remote.status, axis)
         ]
         if stopped:
             mute = [
                 f"{axis.joint}: the device no longer answers"
-                for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True)
+                for axis, remote in zip(self._boards, self._remotes, strict=True)
                 if remote.overdue(tick.now_us)
             ]
             raise DeviceError("; ".join([*mute, *stopped]))
         # By then the others, who got plans until this one fell silent, have come to rest as well.
         rest_knots = self._margin + self._horizon + core.COAST_KNOTS + 1
-        for axis, remote in zip(self._config.machine.axes, self._remotes, strict=True):
+        for axis, remote in zip(self._boards, self._remotes, strict=True):
             if (
                 remote.status is None
                 or tick.now_us - remote.status.sent_us > rest_knots * self._knot_us

@@ -1,7 +1,8 @@
 """The nonlinear problem that a tick's quadratic program stands for, solved to convergence.
 
 Offline: the program's cost and its linear constraints are the problem's own, so only the
-linearized equations of motion are put back. IPOPT: Waechter, Biegler, Math. Prog. 106, 2006.
+linearized equations of motion are put back, and costs of the task's own. IPOPT: Waechter, Biegler,
+Math. Prog. 106, 2006.
 """
 
 from __future__ import annotations
@@ -13,22 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.controller.equations import Equations
+from headway.controller.objective import Costs
 from headway.controller.prediction import ServoLaw, interval
 from headway.controller.program import Program
+from headway.models.codegen import among
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
 
 
-def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array, str]:
+def converged(
+    program: Program, machine: Machine, law: ServoLaw, costs: Costs | None = None
+) -> tuple[Array, str]:
     """The solution in the variables of the last program, from whose answer it starts, and IPOPT's
-    own word."""
+    own word. `costs`: the task's own, if the program has them."""
     ocp, pool, n = program.ocp, program.pool, program.ocp.n
     step = interval(Equations(machine.tree))
     z = ca.MX.sym("z", ocp.size)
     whole = z * ocp.column_scale
     x = ca.DM(pool["x"]) + ca.reshape(whole[ocp.states], 2 * n, ocp.intervals + 1)
-    u = ca.DM(pool["around"]) + ca.reshape(whole[ocp.torques], n, ocp.intervals + 1)
+    steps = ca.reshape(whole[ocp.torques], len(ocp.driven), ocp.intervals + 1)
+    u = ca.DM(pool["around"]) + among(steps, ocp.driven, n)
     ends = (x[:, :-1], u[:, :-1], u[:, 1:])
     constant = pool["d"], ocp.interval_s, law.parameters
     along = step.map(ocp.intervals, [False] * 3 + [True] * 3, [False] * 4)
@@ -39,11 +45,21 @@ def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array,
     others = np.r_[0 : motion.start, motion.stop : ocp.rows]
     linear = ca.DM(program.constraints()[others])
     half = ca.DM(ocp.hessian)
-    hessian = half + half.T - ca.diag(ca.diag(half))
-    gradient = pool["gradient"][:, 0]
-    cost = ca.bilin(hessian, z, z) / 2 + ca.dot(ca.DM(gradient), z)
+    hessian: Any = half + half.T - ca.diag(ca.diag(half))
+    cost = ca.bilin(hessian, z, z) / 2
+    gradient = pool["gradient"][:, 0].copy()
+    if costs is not None:
+        of_x = ocp.column_scale[ocp.states]
+        gradient[ocp.states] -= of_x * pool["slope"].ravel(order="F")
+        at = x, ca.DM(pool["time_s"]), ca.DM(np.linspace(0, 1, ocp.intervals + 1)).T
+        cost += ca.sum2(_each(costs.value, *at, costs.parameters))
+        blocks = ca.horzsplit(_each(costs.function, *at, costs.parameters)[0], 2 * n)
+        of_states = ca.diag(ca.DM(of_x)) @ ca.diagcat(*blocks) @ ca.diag(ca.DM(of_x))
+        rest = ocp.size - len(of_x)
+        hessian += ca.diagcat(of_states, ca.MX(rest, rest))
+    cost += ca.dot(ca.DM(gradient), z)
     problem: dict[str, Any] = {"x": z, "f": cost, "g": ca.vertcat(defect, linear @ z)}
-    # The cost's own curvature, without the motion's: Gauss and Newton's. It stays convex.
+    # The costs' own curvature, without the motion's: Gauss and Newton's. It stays convex.
     p, of_cost, of_rest = (ca.MX.sym(*of) for of in (("p", 0), ("f", 1), ("g", ocp.rows)))
     curvature = ca.Function("curvature", [z, p, of_cost, of_rest], [of_cost * ca.triu(hessian)])
     options: dict[str, Any] = {
@@ -57,3 +73,9 @@ def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array,
         x0=pool["z"], lbg=np.concatenate((zero, lower)), ubg=np.concatenate((zero, upper))
     )
     return np.array(solution["x"]).ravel(), str(solver.stats()["return_status"])
+
+
+def _each(function: ca.Function, x: Any, time_s: Any, share: Any, parameters: Array) -> Any:
+    """At every node, a column each."""
+    every = function.map(x.shape[1], [False] * 3 + [True], [False] * function.n_out())
+    return every(x, time_s, share, parameters)

@@ -96,11 +96,12 @@ class Symbols:
 class Costs:
     """A task's costs at one node as a function, and the values of its parameters.
 
-    The function takes x (2n, 1), time_s, share and the parameters (p, 1), to the curvature
-    2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1).
+    Both functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
+    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself.
     """
 
     function: ca.Function
+    value: ca.Function
     parameters: Array
 
 
@@ -143,15 +144,21 @@ def read_costs(
 def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
     x = symbols.x
     curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
+    value = ca.SX(1, 1)
     for residual, weight in terms:
         by_state = ca.jacobian(residual, x)
         curvature += 2 * weight * by_state.T @ by_state
         slope += 2 * weight * by_state.T @ residual
+        value += weight * ca.sumsqr(residual)
     inputs = {
         "x": x, "time_s": symbols.time_s, "share": symbols.share, "costs": symbols.numbers,
     }  # fmt: skip
     outputs = {"curvature": curvature, "slope": slope}
-    return Costs(named_function("costs", inputs, outputs), symbols.values)
+    return Costs(
+        named_function("costs", inputs, outputs),
+        named_function("value", inputs, {"value": value}),
+        symbols.values,
+    )
 
 
 def _run(source: Path, text: str, symbols: Symbols) -> Any:

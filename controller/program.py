@@ -38,8 +38,9 @@ STAGES_ITERATIONS = 30
 class Program:
     """The problem of one tick in arrays that stay where they are; ocp.py says what each is.
 
-    `pool` has them by name: what one function writes others read. `costs`: of the task's own. With
-    `encoding` an answer that is accepted is encoded at once, from the arrays of `encoded`.
+    `pool` has them by name: what one function writes others read. `tick` is the two calls. `costs`:
+    of the task's own. With `encoding` an answer that is accepted is encoded at once, from the
+    arrays of `encoded`.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Program:
         answer = self._judge.bound, pool["residual"], encoding
         guess = (pool[name] for name in ("x", "u", "assumed", "around", "d"))
         sqp = config.mpc.sqp_iterations, ocp.driven
-        self._tick = Tick(
+        self.tick = Tick(
             before, solver, self._vectors.bound, pool["z"], *answer, *sqp, ocp.column_scale, *guess
         )
 
@@ -92,7 +93,7 @@ class Program:
         """
         self.pool["x"][...], self.pool["u"][...], self.pool["time_s"][0] = x, u, node_s
         self.pool["assumed"][:, 0] = disturbance
-        self._tick.prepare()
+        self.tick.prepare()
 
     def feedback(
         self, start: Array, d: Array, reference: Array, committed: Array, holding: Array
@@ -102,7 +103,7 @@ class Program:
         pool = self.pool
         pool["start"][:, 0], pool["d"][:, 0], pool["reference"][...] = start, d, reference
         pool["committed"][:, 0], pool["holding"][:, 0] = committed, holding
-        return self._tick.feedback()
+        return self.tick.feedback()
 
     def constraints(self) -> sp.csc_matrix:
         """Of the last program, in its scales: rows of lower <= A z <= upper."""
@@ -111,9 +112,17 @@ class Program:
         matrix.data[:] = entries[:, 0]
         return matrix
 
+    def hessian(self) -> sp.csc_matrix:
+        """Of the last program, in its scales: the upper half."""
+        matrix = self.ocp.hessian.copy()
+        if "curvature" in self.pool:
+            entries = squaring(self._library, self.ocp, dict(self.pool)).run()[0]
+            matrix.data[:] = entries[:, 0]
+        return matrix
+
     def cost(self, z: Array) -> float:
         """Of variables in the scales of the last program, but for a constant."""
-        half = self.ocp.hessian
+        half = self.hessian()
         twice = float(z @ (half @ z)) * 2 - float(z**2 @ half.diagonal())
         return twice / 2 + float(self.pool["gradient"][:, 0] @ z)
 

@@ -17,7 +17,7 @@ from headway.controller.loop import plan_points
 from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.record.reader import Run
-from headway.controller.reference import ENTRY_S, Entry, task_reference
+from headway.controller.reference import ENTRY_S, Custom, Entry, task_reference
 from headway.controller.tracks import Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, whole_turns
@@ -42,13 +42,15 @@ class Given:
     reference: Array  # (2n, N+1)
     committed: Array  # (n,)
     holding: Array  # (n,)
+    node_s: Array  # (N+1,) times of the task
 
 
 class Replay:
     """A run's ticks, counted from the task's first."""
 
     def __init__(self, run: Run) -> None:
-        """Raises ReplayError for a run that had no programs, or whose gains the record lacks."""
+        """Raises ReplayError for a run that had no programs, or whose gains the record lacks, and
+        ValueError where the file of a task's own costs cannot be read any more."""
         self.config = config = run.config()
         self._arrays = run.arrays
         if not config.mpc.enabled:
@@ -58,22 +60,21 @@ class Replay:
                 f"loop.gains is {config.loop.gains}: the record does not decode gain tracks, and a "
                 "program is linearized along what they do"
             )
-        if config.task.kind == "custom" or len(config.machine.driven) < len(config.machine.axes):
-            raise ReplayError(
-                "programs of machines with passive axes, and of tasks with costs of their own, "
-                "cannot be rebuilt"
-            )
         if not len(run.arrays["entry_us"]):
             raise ReplayError("the record has no entry onto the task: it is too old, or too short")
         machine = load_machine(Path(config.machine.model), config.machine.coupling)
         axes, self._knot_us = config.machine.axes, config.loop.knot_us
         self._horizon = config.mpc.horizon_us // self._knot_us
-        self._units = [AxisUnits.of(axis, config.loop) for axis in axes]
+        self._units = {
+            i: AxisUnits.of(axis, config.loop) for i, axis in config.machine.driven.items()
+        }
         law = ServoLaw.of(axes)
         self.prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
         gains = Gains(config, machine, plan_points(config))
-        self._encoder = Encoder(self.prediction, self._units, gains, config.loop)
+        units = list(self._units.values())
+        self._encoder = Encoder(self.prediction, units, gains, config.loop)
         self._task = task_reference(config, Path())
+        self.costs = self._task.costs(machine) if isinstance(self._task, Custom) else None
         self._n = self.prediction.n
 
     @property
@@ -110,6 +111,7 @@ class Replay:
             reference=self._reference(tick),
             committed=arrays["solver_committed"][row],
             holding=gravity - d,
+            node_s=self._node_s(tick),
         )
 
     def _guess(self, tick: int) -> Motion:
@@ -136,7 +138,7 @@ class Replay:
         arrays, n = self._arrays, self._n
         estimate = arrays["commit_estimate"][tick]
         first = int(arrays["commit_us"][tick]) // self._knot_us - 1
-        points = [self._points(tick, axis, first, estimate[axis]) for axis in range(n)]
+        points = [self._points(tick, axis, first, estimate[axis]) for axis in self._units]
         d = self.prediction.law.borne(estimate[2 * n :])
         return self._encoder.roll(points, estimate[: 2 * n], d)
 
@@ -174,7 +176,7 @@ class Replay:
 
     def _reference(self, tick: int) -> Array:
         """At the nodes, (2n, N+1)."""
-        arrays, mpc = self._arrays, self.config.mpc
+        arrays = self._arrays
         commit_us = int(arrays["commit_us"][tick])
         entered = np.flatnonzero(arrays["entry_us"] <= commit_us)[-1]
         position = arrays["entry_position"][entered]
@@ -182,6 +184,12 @@ class Replay:
         way = position - self._task.at(np.array([start_s]))[0][0]
         turns = whole_turns(self.config.machine.axes, way)
         entry = Entry(self._task, position, start_s, ENTRY_S, turns)
+        return np.hstack(entry.at(self._node_s(tick))[:2]).T
+
+    def _node_s(self, tick: int) -> Array:
+        """Times of the task at the nodes (N+1,)."""
+        arrays, mpc = self._arrays, self.config.mpc
+        begin_us = int(arrays["commit_us"][tick]) - int(arrays["task_start_us"][0])
         nodes_us = np.arange(mpc.intervals + 1) * mpc.horizon_us // mpc.intervals
-        at_s = (commit_us - int(arrays["task_start_us"][0]) + nodes_us.astype(np.float64)) * 1e-6
-        return np.hstack(entry.at(at_s)[:2]).T
+        at_s: Array = (begin_us + nodes_us.astype(np.float64)) * 1e-6
+        return at_s

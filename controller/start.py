@@ -48,7 +48,8 @@ class Start:
         prediction: Prediction,
         gains: Gains,
     ) -> None:
-        self._axes, self._period_us = config.machine.axes, config.device.servo_period_us
+        self._axes, self._period_us = config.machine.boards, config.device.servo_period_us
+        self._rest = [axis.rest for axis in config.machine.bare.values()]
         self._joints = [axis.joint for axis in self._axes]
         self._driven = list(config.machine.driven)  # the others are only listened to
         self._remotes, self._units, self._prediction = remotes, units, prediction
@@ -61,7 +62,7 @@ class Start:
         self._resumed: list[bool] = []
         self.phase = Phase.HELLO
         self.knot = 0
-        self.position = self.torque = np.zeros(len(remotes))
+        self.position = self.torque = np.zeros(prediction.n)
 
     def tick(self, knot: int, samples: list[Sample]) -> Outbox:
         """What to send at a knot. Samples are taken out of the list once they are of no more use.
@@ -138,24 +139,32 @@ class Start:
     def _arm(self) -> None:
         self._resumed = [bool(r.status and r.status.state == HOLD) for r in self._remotes]
         for device in self._driven:
-            if self._resumed[device]:
-                self._remotes[device].ask("RESUME")
-            else:
-                torque_tq = self._units[device].torque_points(self.torque[device])
-                self._remotes[device].ask("ARM", int(torque_tq))
+            self._ask_to_arm(device)
+
+    def _ask_to_arm(self, device: int) -> None:
+        if self._resumed[device]:
+            self._remotes[device].ask("RESUME")
+        else:
+            torque_tq = self._units[device].torque_points(self.torque[device])
+            self._remotes[device].ask("ARM", int(torque_tq))
 
     def _armed(self) -> bool:
-        """Whether every device has taken its load."""
+        """Whether every device has taken its load. One that was not at rest is asked again for a
+        while: as the others take theirs a light joint swings in its brake."""
+        late = []
         for device in self._driven:
             axis, units, remote = self._axes[device], self._units[device], self._remotes[device]
             answer, status = remote.answer(), remote.status
-            if answer is None or status is None:
+            swings = answer == "MOVING" and not self._homing and self._ticks < ARM_TICKS
+            if swings:
+                self._ask_to_arm(device)
+            if answer is None or status is None or swings:
+                late.append(axis.joint)
                 continue
             if answer != "DONE":
                 raise DeviceError(f"{axis.joint}: the device does not arm: {answer}")
             if status.state != ARMED:
                 raise DeviceError(f"{axis.joint}: {why(status, axis, units, self._period_us)}")
-        late = [self._joints[d] for d in self._driven if not self._remotes[d].answer()]
         if not late:
             return True
         if self._ticks > ARM_TICKS:
@@ -180,14 +189,15 @@ class Start:
         return False
 
     def _standing_at(self, samples: list[Sample]) -> Array:
-        """Median of the last samples of each axis: an outlier does not move it."""
+        """Median of the last samples of each axis: an outlier does not move it. Those without an
+        encoder are where the config says."""
         medians = []
         for axis, joint in enumerate(self._joints):
             values = [s.position for s in samples if s.axis == axis]
             if not values:
                 raise DeviceError(f"{joint}: no samples arrive")
             medians.append(np.median(values[-50:]))
-        return np.array(medians)
+        return np.array(medians + self._rest)
 
     def _still(self) -> list[Points]:
         """Points that stand still at the position, with the torque that holds it and the gains."""

@@ -152,15 +152,25 @@ class Encoder:
             np.array([of_axis[sink] for of_axis in points]) / self._scale[sink][:, None]
             for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
         )
-        pool, h, feedback = self.pool, self._h, self._law.feedback[:, None]
-        rows = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h, _at_knots(f, VALUE)
-        pool["tracks"][...] = np.vstack((*rows, np.repeat(feedback, len(rows[0].T), axis=1)))
-        rows = _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
-        pool["middles"][...] = np.vstack((*rows, np.repeat(feedback, len(rows[0].T), axis=1)))
+        pool, h = self.pool, self._h
+        pool["tracks"][...] = self._rows(
+            _at_knots(r, VALUE), _at_knots(r, SLOPE) / h, _at_knots(f, VALUE)
+        )
+        pool["middles"][...] = self._rows(
+            _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
+        )
         pool["x"][:, 0], pool["d"][...] = start, disturbance[:, None]
         self._rollout.run()
         self._relieve.run()
         return self.rolled()
+
+    def _rows(self, *tracks: Array) -> Array:
+        """[r, r', f] (w, m) each, with the config's gains, as the prediction has them: (5n, m)."""
+        columns = tracks[0].shape[1]
+        rows = np.zeros((len(tracks), self._n, columns))
+        rows[:, self._driven] = tracks
+        gains = np.repeat(self._law.feedback[:, None], columns, axis=1)
+        return np.vstack((*rows, gains))
 
     def points(self) -> list[Points]:
         """Of the last encoding: control points by axis, the first three of each track the

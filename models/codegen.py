@@ -9,6 +9,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +25,16 @@ Array = NDArray[np.float64]
 
 FLAGS = "-O3", "-march=native", "-fPIC", "-shared"  # a quarter faster than without the first two
 
+Told = Callable[[str, bool], None]  # a library's name, and whether it has to be compiled
+
+
+def _say(name: str, new: bool) -> None:
+    if new:
+        print(f"compiling {name} (once) ...", file=sys.stderr)
+
+
+_told: ContextVar[Told] = ContextVar("told", default=_say)
+
 # The variable that names the compiler, what it is called, and where it comes from.
 COMPILERS = {"c": ("CC", "cc", "gcc"), "c++": ("CXX", "c++", "g++")}
 
@@ -30,6 +43,17 @@ def cache_dir() -> Path:
     """Where compiled functions are kept between runs."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "headway"
+
+
+@contextmanager
+def telling(told: Told) -> Iterator[None]:
+    """While it lasts `told` is called for each library that is asked for, before it is compiled, in
+    place of a line on standard error for those that are."""
+    before = _told.set(told)
+    try:
+        yield
+    finally:
+        _told.reset(before)
 
 
 def compile_functions(name: str, functions: list[ca.Function]) -> Path:
@@ -68,7 +92,9 @@ def compile_source(name: str, source: str, language: Literal["c", "c++"] = "c") 
     made_of = language + source + " ".join(FLAGS) + _processor()
     digest = hashlib.sha256(made_of.encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
-    if not _intact(library):
+    new = not _intact(library)
+    _told.get()(name, new)
+    if new:
         _build(name, source, language, library)
     return library
 
@@ -104,7 +130,6 @@ def _build(name: str, source: str, language: str, library: Path) -> None:
             f"no {language.upper()} compiler found: install one with "
             f"`sudo apt-get install {package}`"
         )
-    print(f"compiling {name} (once) ...", file=sys.stderr)
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         file, built = Path(folder, "model.c"), Path(folder, "model.so")

@@ -34,7 +34,7 @@ BRAKE_DAMPING, BRAKE_STABLE = 4.0, 0.5
 def driven_model(
     path: Path, machine: Machine, servo_period_us: int, start: Sequence[float]
 ) -> mujoco.MjModel:
-    """The model with a board on every axis.
+    """The model with a board on every axis but those without an encoder.
 
     `start`: positions of the axes where the task starts [rad or m]. Raises ValueError where model
     and config do not fit together.
@@ -53,10 +53,13 @@ def driven_model(
             if slides != (axis.unit == "m"):
                 kind, keys = ("slides", "linear") if slides else ("turns", "rotary")
                 raise ValueError(f"joint {axis.joint} {kind}: use the keys of a {keys} axis")
+        needless = {axis.joint for axis in machine.bare.values()}
+        for actuator in [a for a in spec.actuators if a.target in needless]:
+            spec.delete(actuator)
         on_board = {a.target for a in spec.actuators if a.plugin.plugin_name == PLUGIN}
-        missing = [axis for axis in machine.axes if axis.joint not in on_board]
+        missing = [axis for axis in machine.boards if axis.joint not in on_board]
         if not missing:
-            return bare
+            return spec.compile()
         _strip(spec)
         spec.option.timestep = _step_us(servo_period_us) * 1e-6
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -25,7 +25,7 @@ class Mishaps:
 
     def __init__(self, config: Config, plant: Plant, network: Network) -> None:
         joints = [axis.joint for axis in config.machine.axes]
-        every = range(len(joints))
+        every = range(len(plant.nodes))
         self._plant, self._network = plant, network
         self._feed_V = [node.feed_V for node in plant.nodes]
         self._waiting = [
@@ -50,6 +50,9 @@ class Mishaps:
             self._network.step_clock(true_us, mishap.step_us)
             return
         for device in devices:
+            if mishap.kind == "push":  # which happens to a joint without a board, too
+                self._plant.push(device, mishap.effort_Nm_or_N)
+                continue
             node = self._plant.nodes[device]
             if mishap.kind == "emergency_stop":
                 node.stop_line = True
@@ -64,13 +67,14 @@ class Mishaps:
                 node.step_clock(mishap.step_us)
             elif mishap.kind == "firmware_hangs":
                 node.hung = True
-            elif mishap.kind == "push":
-                self._plant.push(device, mishap.effort_Nm_or_N)
             else:
                 node.break_encoder(ENCODER_DEFECTS[mishap.kind], true_us)
 
     def _end(self, mishap: Mishap, devices: list[int]) -> None:
         for device in devices:
+            if mishap.kind == "push":
+                self._plant.push(device, -mishap.effort_Nm_or_N)
+                continue
             node = self._plant.nodes[device]
             if mishap.kind == "emergency_stop":
                 node.stop_line = False
@@ -81,5 +85,3 @@ class Mishaps:
                 node.feed_V = self._feed_V[device]
             elif mishap.kind == "firmware_hangs":
                 node.hung = False
-            elif mishap.kind == "push":
-                self._plant.push(device, -mishap.effort_Nm_or_N)

@@ -37,7 +37,8 @@ def start_of(config: Config, reference: Reference) -> list[float]:
 
 
 class Plant:
-    """Steps the machine; each axis of the config is one node (device and board).
+    """Steps the machine; each axis of the config is one node (device and board), but for the last
+    ones if they have no encoder.
 
     Raises ValueError where config and model do not fit together.
     """
@@ -57,19 +58,15 @@ class Plant:
         self.step_us = round(self.model.opt.timestep * 1e6)
         self._warnings = [self.data.warning[kind] for kind in DIVERGED]
         self.nodes: list[_board.Node] = []
-        qpos, dof, actuators = list[int](), list[int](), list[int]()
         self._coupling = Coupling.of(machine.coupling, len(machine.axes))
+        joints = [self.model.joint(axis.joint).id for axis in machine.axes]
+        self._qpos, self._dof = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
         boards = {name: a for a, name in enumerate(map(self._driven, range(self.model.nu)))}
-        for axis in machine.axes:
-            joint = self.model.joint(axis.joint).id
-            actuator = boards[axis.joint]
+        self._actuator = np.array([boards[axis.joint] for axis in machine.boards], dtype=int)
+        for actuator in self._actuator:
             window = self.model.plugin_stateadr[self.model.actuator_plugin[actuator]]
             numbers = self.data.plugin_state[window : window + _board.NODE_NUMBERS]
             self.nodes.append(_board.Node(numbers))
-            qpos.append(self.model.jnt_qposadr[joint])
-            dof.append(self.model.jnt_dofadr[joint])
-            actuators.append(actuator)
-        self._qpos, self._dof, self._actuator = map(np.array, (qpos, dof, actuators))
         self.position = np.array(start)
 
     def _driven(self, actuator: int) -> str:
@@ -120,7 +117,9 @@ class Plant:
     @property
     def torque(self) -> NDArray[np.float64]:
         """Torque (or force) of motor and brake [Nm or N], by axis."""
-        return self.data.actuator_force[self._actuator]  # type: ignore[no-any-return]
+        torque = np.zeros(len(self._dof))
+        torque[: len(self._actuator)] = self.data.actuator_force[self._actuator]
+        return torque
 
     def set_bridge(self, capacitance_F: float) -> None:
         """Capacitance of every board's bridge [F]; 0: the supply takes back what it is fed."""

@@ -56,7 +56,7 @@ class Realtime:
         self._epoch_us = 0
         self._flying: list[tuple[int, int, int, bytes]] = []  # on their way to boards
         self._number = 0
-        self._unknown = np.full(len(outlets), np.nan)
+        self._unknown = np.full(len(config.machine.axes), np.nan)
         self._noted_until_us = -1
         self.behind = 0  # times that the computer was too slow
         self.behind_us = 0  # at worst

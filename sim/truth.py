@@ -18,8 +18,11 @@ def note_truth(
     the task wants then, NaN where nobody knows."""
     truth = plant.position, plant.velocity, plant.torque, reference
     record.add(("truth", system_us, truth))
-    setpoints = zip(*(node.setpoint(system_us) for node in plant.nodes), strict=True)
-    torques = [node.torque_tq for node in plant.nodes]
-    unclipped = [node.unclipped_tq for node in plant.nodes]
-    errors = [node.system_us(plant.true_us) - system_us for node in plant.nodes]
-    record.add(("servo", system_us, (*setpoints, torques, unclipped, errors)))
+    servos = [
+        (*node.setpoint(system_us), node.torque_tq, node.unclipped_tq,
+         node.system_us(plant.true_us) - system_us)
+        for node in plant.nodes
+    ]  # fmt: skip
+    nobody = (0, 0, 0, 0, 0, 0)  # on an axis without a board
+    servos += [nobody] * (len(reference) - len(servos))
+    record.add(("servo", system_us, tuple(zip(*servos, strict=True))))

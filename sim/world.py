@@ -33,7 +33,7 @@ class World:
         are not given."""
         self.config, self._keys = config, keys
         self.model = (folder / config.machine.model).resolve()
-        n = len(config.machine.axes)
+        n = len(config.machine.boards)
         seeds = np.random.SeedSequence(config.seed).spawn(4 + 2 * n)
         world, outliers, *wires, nonces, clocks = (np.random.default_rng(s) for s in seeds)
         self.outliers = outliers  # draws which samples are replaced by nonsense
@@ -56,15 +56,13 @@ class World:
         wander: np.random.Generator,
     ) -> Remote:
         """Flashes a board with its settings, a key and an oscillator of its own."""
-        config = self.config
-        settings = device_settings(
-            config.machine.axes[device], config.device, config.loop, config.sync
-        )
+        config, axis = self.config, self.config.machine.boards[device]
+        settings = device_settings(axis, config.device, config.loop, config.sync)
         settings.key = world.bytes(16)
         if self._keys is not None:
-            settings.key = self._keys.devices[config.machine.axes[device].joint]
+            settings.key = self._keys.devices[axis.joint]
             settings.peer_key = self._keys.sync
-        if config.machine.axes[device].homing is not None:
+        if axis.homing is not None:
             self._forget(device, world)
         clocks, node = config.sim.clocks, self.plant.nodes[device]
         bound_ppb = round(clocks.drift_ppm * 1000)
@@ -87,7 +85,7 @@ class World:
 
     def _forget(self, device: int, world: np.random.Generator) -> None:
         """An encoder that counts from where it is at power-up; its marks are at their places."""
-        node, axis = self.plant.nodes[device], self.config.machine.axes[device]
+        node, axis = self.plant.nodes[device], self.config.machine.boards[device]
         assert axis.homing is not None
         turn = round(axis.counts_per_unit * axis.motor.turn)
         mark = round(axis.homing.mark * axis.counts_per_unit)

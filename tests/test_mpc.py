@@ -286,6 +286,6 @@ def test_a_guess_that_is_no_motion_is_noticed() -> None:
     lock.run()
     controller = lock.loop._mpc
     assert controller is not None and lock.loop.phase is Phase.RUN
-    assert controller.program._tick.feedback().accepted
+    assert controller.program.tick.feedback().accepted
     controller.program.pool["a"][1, 5] = np.nan
-    assert not controller.program._tick.feedback().accepted
+    assert not controller.program.tick.feedback().accepted

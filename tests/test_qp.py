@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from headway.cli.main import main
+from headway.controller.nlp import converged
+from headway.controller.prediction import ServoLaw
 from headway.controller.program import Program
 from headway.controller.record.reader import Run, read_run
 from headway.controller.replay import Given, Replay, ReplayError
+from headway.models.machine import load_machine
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -31,17 +34,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def solved(replay: Replay, given: Given, *, sqp_iterations: int = 1) -> tuple[Program, list[float]]:
     mpc = replay.config.mpc.model_copy(update={"sqp_iterations": sqp_iterations})
-    program = Program(replay.config.model_copy(update={"mpc": mpc}), replay.prediction)
-    program.prepare(given.x, given.u, given.assumed)
+    config = replay.config.model_copy(update={"mpc": mpc})
+    program = Program(config, replay.prediction, replay.costs)
+    program.prepare(given.x, given.u, given.assumed, given.node_s)
     done = program.feedback(given.start, given.d, given.reference, given.committed, given.holding)
     return program, [done.residual, done.stationarity, done.complementarity]
 
 
 @pytest.mark.parametrize("backend", ["hpipm", "riccati"])
+@pytest.mark.parametrize("config", ["arm2.yaml", "furuta.yaml", "cartpole.yaml"])
 def test_who_has_no_memory_says_of_every_tick_what_was_said_then(
-    backend: str, tmp_path: Path
+    config: str, backend: str, tmp_path: Path
 ) -> None:
-    run = run_of(tmp_path / "run", "arm2.yaml", f"mpc.backend={backend}", "sim.to_device.loss=0.1")
+    """With axes that have no motor and costs of a task's own, too."""
+    run = run_of(tmp_path / "run", config, f"mpc.backend={backend}", "sim.to_device.loss=0.1")
     replay, names = Replay(run), ("residual", "stationarity", "complementarity")
     assert replay.ticks > 250
     for tick in range(0, replay.ticks, 7):
@@ -51,10 +57,6 @@ def test_who_has_no_memory_says_of_every_tick_what_was_said_then(
 
 
 def test_programs_in_a_row_and_ipopt_find_the_same(folder: Path) -> None:
-    from headway.controller.nlp import converged
-    from headway.controller.prediction import ServoLaw
-    from headway.models.machine import load_machine
-
     replay = Replay(read_run(folder))
     mpc = replay.config.mpc.model_copy(update={"backend": "hpipm"})
     replay.config = replay.config.model_copy(update={"mpc": mpc})
@@ -80,6 +82,31 @@ def test_dump_and_solve(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     with np.load(file) as dumped:
         assert len(dumped["A_indptr"]) == len(dumped["q"]) + 1
         assert len(dumped["l"]) == len(dumped["u"]) == dumped["A_indices"].max() + 1
+
+
+def test_costs_of_a_tasks_own_are_part_of_both_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On its way up the pendulum's energy is what counts: without it the plan would be another."""
+    run_of(tmp_path / "run", "furuta.yaml")
+    replay = Replay(read_run(tmp_path / "run"))
+    assert replay.costs is not None
+    program, _ = solved(replay, replay.given(60), sqp_iterations=12)
+    machine = load_machine(Path(replay.config.machine.model))
+    law = ServoLaw.of(replay.config.machine.axes)
+    z, said = converged(program, machine, law, replay.costs)
+    assert said == "Solve_Succeeded"
+    states = program.ocp.states
+    away = (program.pool["z"][states, 0] - z[states]) * program.ocp.column_scale[states]
+    assert np.abs(away).max() < 1e-3  # rad, rad/s
+    file = tmp_path / "qp.npz"
+    assert main(["qp", "dump", str(tmp_path / "run"), "60", "--out", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["qp", "solve", str(file), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["accepted"] and figures["nlp"]["IPOPT says"] == "Solve_Succeeded"
+    with np.load(file) as dumped:  # P has their curvature
+        assert dumped["P_data"].sum() != pytest.approx(program.ocp.hessian.data.sum(), rel=1e-3)
 
 
 def test_what_cannot_be_done_is_said(

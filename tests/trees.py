@@ -15,9 +15,19 @@ def random_mjcf(seed: int, sizes: int = 5) -> str:
     one more with each seed, in turns of `sizes`."""
     rng = np.random.default_rng(seed)
     count = 2 + seed % sizes
-    children: list[list[int]] = [[] for _ in range(count)]
-    for j in range(1, count):
-        children[int(rng.integers(max(0, j - 3), j))].append(j)
+    return _mjcf(rng, [int(rng.integers(max(0, j - 3), j)) for j in range(1, count)])
+
+
+def chain_mjcf(seed: int, count: int) -> str:
+    """Likewise, each joint on the one before."""
+    return _mjcf(np.random.default_rng(seed), list(range(count - 1)))
+
+
+def _mjcf(rng: np.random.Generator, parents: list[int]) -> str:
+    """`parents` of all joints but the first."""
+    children: list[list[int]] = [[] for _ in range(len(parents) + 1)]
+    for j, parent in enumerate(parents, 1):
+        children[parent].append(j)
 
     def body(j: int) -> str:
         kind = "slide" if rng.random() < 0.4 else "hinge"

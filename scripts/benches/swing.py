@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _campaign import Campaign, Journal, Task, campaign_options, fingerprint
 from _report import arguments, finish, goal, table
-from _runs import each, run_through
+from _runs import run_through
 
 from headway.configs.load import load_config
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+# What its results depend on, beside the firmware.
+SOURCES = (
+    *("configs/*.yaml", "configs/upright.py", "models/*/*.xml"),
+    *(f"{of}/*.[cph]*" for of in ("controller", "models", "devices", "sim")),
+)
 UP_RAD = 0.1  # from upright: it is up
 BACK_S = 5.0  # after a push it is up again
 # What each is pushed with for 0.1 s, at most: the pendulum then turns at 6 rad/s, the pole at 4.
@@ -63,16 +70,24 @@ def run(job: tuple[str, int, float]) -> dict[str, Any]:
 
 
 def main() -> int:
-    options = arguments(__doc__ or "")
+    options = arguments(__doc__ or "", campaign_options)
     seeds, duration_s = (50, 60.0) if options.long else (2, 20.0)
-    jobs = [(name, seed, duration_s) for name in PUSH_NM for seed in range(seeds)]
-    results = each(run, jobs)
+    tasks = [
+        Task(f"{name}, {seed}", run, (name, seed, duration_s))
+        for seed in range(seeds)
+        for name in PUSH_NM
+    ]
+    journal = Journal(options.results, fingerprint((seeds, duration_s), *SOURCES))
+    with ProcessPoolExecutor(options.processes) as pool:
+        Campaign(pool, journal, options.minutes).run("runs", tasks)
     rows, goals = [], []
-    for i, name in enumerate(PUSH_NM):
-        mine = results[i * seeds : (i + 1) * seeds]
+    for name in PUSH_NM:
+        mine = [r for key, r in journal.found.items() if key.startswith(f"{name}, ")]
+        if not mine:
+            continue
         stays = sum(not r["fallen"] for r in mine)
         rows.append({
-            "machine": name, "seeds": seeds, "up and back up": stays,
+            "machine": name, "seeds": len(mine), "up and back up": stays,
             "up after, median s": float(np.median([r["up_s"] for r in mine])),
             "last s": max(r["up_s"] for r in mine),
             "pushes that threw it down": sum(r["thrown"] for r in mine),
@@ -80,11 +95,14 @@ def main() -> int:
             "plans refused %": 100 * float(np.mean([r["refused"] for r in mine])),
         })  # fmt: skip
         goals += [
-            goal(f"{name}: seeds of {seeds} in which it is up and stays", stays, ">=", seeds),
+            goal(
+                f"{name}: seeds of {len(mine)} in which it is up and stays", stays, ">=", len(mine)
+            ),
             goal(f"{name}: way to a limit", min(r["room"] for r in mine), ">", 0.0),
         ]
-    table(f"swung up, balanced for {duration_s:g} s, pushed three times", rows)
-    for said in sorted({r["said"] for r in results if r["said"]}):
+    if rows:
+        table(f"swung up, balanced for {duration_s:g} s, pushed three times", rows)
+    for said in sorted({r["said"] for r in journal.found.values() if r["said"]}):
         print(f"    {said}")
     finish(rows, goals, options.json)
     return 0

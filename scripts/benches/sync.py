@@ -12,7 +12,6 @@ called again; `--minutes` ends it, and the tables are of what there is by then.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,9 +19,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _campaign import Campaign, Journal, Task, campaign_options, fingerprint
 from _report import arguments, finish, goal, table
 from clocks import boards, firmware, heard, tight
-from clocks.campaign import Campaign, Journal, Task, fingerprint
 from clocks.exchanges import (
     EPOCH_US,
     REQUEST_BYTES,
@@ -445,15 +444,6 @@ def main() -> int:
             campaign.run("chains", chains(journal.found, effort))
     report(journal.found, effort, options.json)
     return 0
-
-
-def campaign_options(parser: argparse.ArgumentParser) -> None:
-    """Those of this benchmark alone."""
-    parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="keep them, and go on from them"
-    )
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="then begin no more")
-    parser.add_argument("--processes", type=int, default=2, help="at once")
 
 
 def report(found: dict[str, Any], effort: Effort, file: Path | None) -> None:

@@ -73,7 +73,8 @@ class ClosedLoopRun:
         """The position estimated for each tick's now was the true one, give or take some encoder
         counts. Judged over the same time as the tracking."""
         __tracebackhide__ = True
-        counts = by_axis("rms_below_counts", rms_below_counts, self._joints("rad", "m"))
+        encoders = [axis.joint for axis in self.config.machine.boards]
+        counts = by_axis("rms_below_counts", rms_below_counts, encoders)
         self._require(
             judge.estimates_badly(self.config, self.summary, self.arrays, rms_counts=counts)
         )

@@ -118,7 +118,7 @@ def set_(config: Path, /, *, where: Place = HERE) -> int:
     with attached(config, where) as room:
         c = room.config
         try:
-            wanted = [device_settings(a, c.device, c.loop, c.sync) for a in c.machine.axes]
+            wanted = [device_settings(a, c.device, c.loop, c.sync) for a in c.machine.boards]
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{config}: {error}") from error
         for remote in room.remotes:
@@ -214,7 +214,7 @@ class Room:
         self.config, self.joints, self.remotes = config, joints, remotes
         self.model = model  # its file
         self._link, self._clock, self.missing = link, clock, missing
-        by_joint = {axis.joint: axis for axis in config.machine.axes}
+        by_joint = {axis.joint: axis for axis in config.machine.boards}
         self._axes = [by_joint[joint] for joint in joints]
 
     def index(self, axis: str) -> int:
@@ -295,7 +295,7 @@ class Room:
             self._told(self.joints.index(axis.joint))
             if axis.joint in self.joints
             else {"axis": axis.joint, "port": None, "usb": "", "state": MISSING}
-            for axis in self.config.machine.axes
+            for axis in self.config.machine.boards
         ]
 
     def _told(self, device: int) -> dict[str, Any]:

@@ -135,7 +135,7 @@ def _round_trips(
 
             names, knot_us = list(reached.keys.devices), config.loop.knot_us
             Settling(names, knot_us, remotes, Tapped(), clock).run(LISTEN_S)
-    trips = round_trips(arrived, len(config.machine.axes))
+    trips = round_trips(arrived, len(config.machine.boards))
     return trips, clock_error(packet for _, _, packet in arrived)
 
 
@@ -147,7 +147,7 @@ def _show(config: Config, measured: Measured, margin_us: int) -> None:
     rows += [("both, until a plan is sent", measured.ready_us)]
     rows += [
         (f"round trip, {axis.joint}", each)
-        for axis, each in zip(config.machine.axes, measured.round_trip_us, strict=True)
+        for axis, each in zip(config.machine.boards, measured.round_trip_us, strict=True)
     ]
     for name, values in rows:
         figures = [np.percentile(values, percent) for percent in (50, 99, RARE, 100)]

@@ -131,9 +131,11 @@ def estimates_badly(
     error = np.abs(way - whole_turns(axes, way))
     found = []
     for i, axis in enumerate(axes):
-        per_count = AxisUnits.of(axis, config.loop).unit_per_count
         value, bound = summary["estimate"]["rms_now"][i], rms_counts.get(axis.joint)
-        if bound is not None and not (value is not None and value / per_count < bound):
+        if bound is None:
+            continue
+        per_count = AxisUnits.of(axis, config.loop).unit_per_count
+        if not (value is not None and value / per_count < bound):
             worst = int(np.argmax(error[:, i]))
             found.append(
                 f"{axis.joint}: rms error of the estimated position {value / per_count:.4g} counts "

@@ -35,7 +35,7 @@ def keys(config: Path, /, *, keys: Path | None = None, overrides: Changes = None
 
     checked = changed_config(config, list(overrides or []))
     folder = key_folder(checked, keys)
-    names = [axis.joint for axis in checked.machine.axes]
+    names = [axis.joint for axis in checked.machine.boards]
     if SYNC in names:
         raise Failure(ExitCode.USAGE, f"a joint cannot be called {SYNC}, as its key would be")
     try:

@@ -206,7 +206,7 @@ def machine_keys(config: Config, path: Path, named: Path | None) -> Keys:
 
     folder = key_folder(config, named)
     try:
-        return read_keys(folder, [axis.joint for axis in config.machine.axes])
+        return read_keys(folder, [axis.joint for axis in config.machine.boards])
     except KeyFileError as error:
         hint = f"; `headway keys {path}` draws those that are missing"
         raise Failure(ExitCode.USAGE, f"{error}{hint}") from error
@@ -300,7 +300,7 @@ def _not_found(missing: Sequence[str], verdicts: dict[str, str], failed: Sequenc
 def _ephemeral(folder: Path, config: Config) -> Keys:
     from headway.devices.keys import draw_keys, read_keys
 
-    names = [axis.joint for axis in config.machine.axes]
+    names = [axis.joint for axis in config.machine.boards]
     draw_keys(folder, names)
     return read_keys(folder, names)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from headway.cli.failure import ExitCode, Failure
 from headway.cli.linked import Linked
+from headway.cli.progress import compiling
 from headway.cli.wall import WallClock
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def live(
                 (path.parent / config.machine.model).resolve(), config.machine.coupling
             )
             task = task_reference(config, path.parent)
-            loop = Loop(config, machine, remotes, task, record)
+            with compiling(config):
+                loop = Loop(config, machine, remotes, task, record)
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
         clock = WallClock(linked.factor)

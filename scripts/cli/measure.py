@@ -75,7 +75,7 @@ def measure(linked: Linked, path: Path, config: Config, changes: list[str]) -> M
         wake_us=ready_us - compute_us,
         compute_us=compute_us,
         ready_us=ready_us,
-        round_trip_us=round_trips(arrived, len(config.machine.axes)),
+        round_trip_us=round_trips(arrived, len(config.machine.boards)),
         clock_us=clock_error(packet for _, _, packet in arrived),
         missed=driver.deadline_misses,
         late_points=driver.frames(arrays)["late_points"] or 0,

@@ -128,7 +128,7 @@ def zero(config: Path, axis: str, position: float = 0.0, /, *, where: Place = HE
     """
     with attached(config, where) as room:
         i = room.index(axis)
-        count = round(position * room.config.machine.axes[i].counts_per_unit)
+        count = round(position * room.config.machine.boards[i].counts_per_unit)
         if not -(2**31) <= count < 2**31:
             raise Failure(ExitCode.USAGE, f"{position}: is beyond what the encoder counts")
         answers = room.ask([i], "ZERO", count)
@@ -218,7 +218,7 @@ def _driven(room: Room, axis: str) -> tuple[int, DrivenAxis]:
 def _log(room: Room, device: int) -> list[dict[str, Any]]:
     from headway.devices.stop import REASONS, STATES, words
 
-    axis, units = room.config.machine.axes[device], room.units(device)
+    axis, units = room.config.machine.boards[device], room.units(device)
     period_us = room.config.device.servo_period_us
     return [
         {

@@ -101,7 +101,7 @@ def plant(
     check_factor(realtime_factor)
     changes = list(overrides or []) + ([] if seed is None else [f"seed={seed}"])
     checked = changed_config(config, changes)
-    _check_port(port, link, len(checked.machine.axes))
+    _check_port(port, link, len(checked.machine.boards))
     devices = machine_keys(checked, config, keys)
     folder = place_folder(ports)
     if bind != LOOPBACK and link != "udp":
@@ -114,7 +114,7 @@ def plant(
             stack.enter_context(
                 outlet_at(link, folder, checked.name, axis.joint, bind, port and port + number)
             )
-            for number, axis in enumerate(checked.machine.axes)
+            for number, axis in enumerate(checked.machine.boards)
         ]
         from headway.sim.plant import UnstableError
         from headway.sim.realtime import Realtime
@@ -132,7 +132,7 @@ def plant(
                 "is encrypted (docs/security.md)",
                 file=sys.stderr,
             )
-        for axis, outlet in zip(checked.machine.axes, outlets, strict=True):
+        for axis, outlet in zip(checked.machine.boards, outlets, strict=True):
             print(f"{axis.joint}: {outlet.where}")
         addresses = [] if bind == LOOPBACK else [_reachable(outlet.where) for outlet in outlets]
         words = _command(config, link, realtime_factor, keys, ports, list(overrides or []))

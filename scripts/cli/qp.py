@@ -55,11 +55,11 @@ def dump(run: Path, tick: int, /, *, out: Path | None = None) -> int:
         given, row = replay.given(tick), replay.row(tick)
     except (RecordError, ReplayError, ValueError) as error:
         raise Failure(ExitCode.USAGE, f"{run}: {error}") from error
-    program = Program(replay.config, replay.prediction)
+    program = Program(replay.config, replay.prediction, replay.costs)
     _answer(program, given)
     constraints = program.constraints()
     arrays: dict[str, Any] = {f"given_{name}": value for name, value in asdict(given).items()}
-    for name, matrix in (("P", program.ocp.hessian), ("A", constraints)):
+    for name, matrix in (("P", program.hessian()), ("A", constraints)):
         arrays |= {
             f"{name}_{part}": getattr(matrix, part) for part in ("data", "indices", "indptr")
         }
@@ -89,7 +89,8 @@ def solve(
     """Solves a dumped program again, and beside it the nonlinear problem that it stands for.
 
     The nonlinear problem has the machine's equations instead of their linearization, and is solved
-    by IPOPT to 1e-9: how far the answer is from that is what one program a tick gives away.
+    by IPOPT to 1e-9: how far the answer is from that is what one program a tick gives away. Model
+    and costs of the task's own are read from their files as they are now.
 
     Example: by the other solver.
 
@@ -118,7 +119,10 @@ def solve(
         given = Given(**{name: arrays[f"given_{name}"] for name in Given.__annotations__})
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise Failure(ExitCode.USAGE, f"{file}: is not of `headway qp dump`: {error}") from error
-    figures = _figures(_with(config, backend), given, nlp)
+    try:
+        figures = _figures(_with(config, backend), given, nlp)
+    except ValueError as error:  # of the model or the task's own costs, which have changed since
+        raise Failure(ExitCode.USAGE, f"{file}: {error}") from error
     figures["recorded"] = {
         name.removeprefix("recorded_"): value.item()
         for name, value in arrays.items()
@@ -150,7 +154,7 @@ def _with(config: Config, backend: str | None) -> Config:
 
 def _answer(program: Any, given: Given) -> Any:
     """What the tick's feedback says, once more."""
-    program.prepare(given.x, given.u, given.assumed)
+    program.prepare(given.x, given.u, given.assumed, given.node_s)
     return program.feedback(given.start, given.d, given.reference, given.committed, given.holding)
 
 
@@ -160,13 +164,16 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
     from headway.controller.nlp import converged
     from headway.controller.prediction import Prediction, ServoLaw
     from headway.controller.program import Program
+    from headway.controller.reference import Custom, task_reference
     from headway.models.machine import load_machine
 
     machine = load_machine(Path(config.machine.model), config.machine.coupling)
     knots = config.mpc.horizon_us // config.loop.knot_us
     law = ServoLaw.of(config.machine.axes)
     prediction = Prediction(machine, law, config.mpc.intervals, knots)
-    program = Program(config, prediction)
+    task = task_reference(config, Path())
+    costs = task.costs(machine) if isinstance(task, Custom) else None
+    program = Program(config, prediction, costs)
     done = _answer(program, given)
     shape = program.pool["x"].shape
     figures: dict[str, Any] = {
@@ -176,7 +183,7 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
         "cost": program.cost(program.pool["z"][:, 0]),
     }  # fmt: skip
     if nlp:
-        z, said = converged(program, machine, law)
+        z, said = converged(program, machine, law, costs)
         n = len(given.d)
         step = (program.pool["z"][:, 0] - z) * program.ocp.column_scale
         of_x = step[program.ocp.states].reshape(shape, order="F")

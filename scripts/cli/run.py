@@ -17,7 +17,7 @@ from headway.cli.failure import ExitCode, Failure
 from headway.cli.folder import RUNS, Made, check_free, run_folder, stamp
 from headway.cli.linked import SIMULATED, Link, Linked
 from headway.cli.live import PLANT_NAME, live
-from headway.cli.progress import Bar
+from headway.cli.progress import Bar, compiling
 from headway.cli.stopping import signals_stop
 from headway.cli.table import summary_table
 from headway.cli.versions import versions
@@ -138,7 +138,8 @@ def _set_up(path: Path, config: Config, recording: Recording) -> Lockstep:
     from headway.sim.lockstep import Lockstep  # here, since it takes a second, and help should not
 
     try:
-        return Lockstep(config, path.parent, recording)
+        with compiling(config):
+            return Lockstep(config, path.parent, recording)
     except ValueError as error:
         raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
 

@@ -128,11 +128,11 @@ def _tracking(config: Config, task: Reference, arrays: Arrays) -> dict[str, Any]
 
 
 def _followed(config: Config, task: Reference, arrays: Arrays) -> dict[str, Any]:
-    errors = []
+    errors = [np.empty((0, 1))] * len(config.machine.axes)  # nobody sees one without an encoder
     for i, (time_s, position) in enumerate(told_positions(config, arrays)):
         way = (position - task.at(time_s)[0][:, i])[judged(time_s, arrays)]
         axis = config.machine.axes[i : i + 1]
-        errors.append(1e3 * (way[:, None] - whole_turns(axis, way[:, None])))
+        errors[i] = 1e3 * (way[:, None] - whole_turns(axis, way[:, None]))
     return {"rms": [_rms(e)[0] for e in errors], "max": [_max(e)[0] for e in errors]}
 
 

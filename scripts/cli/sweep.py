@@ -111,6 +111,7 @@ def _compile(path: Path, combinations: list[Combination]) -> None:
 
     Raises Failure where config and model do not fit together.
     """
+    from headway.cli.progress import compiling
     from headway.sim.lockstep import Lockstep
 
     different: dict[Any, Config] = {}
@@ -119,7 +120,8 @@ def _compile(path: Path, combinations: list[Combination]) -> None:
         different.setdefault((*shape, config.mpc.intervals), config)
     for config in different.values():
         try:
-            Lockstep(config, path.parent)
+            with compiling(config):
+                Lockstep(config, path.parent)
         except ValueError as error:
             raise Failure(ExitCode.USAGE, f"{path}: {' '.join(str(error).split())}") from error
 

@@ -146,7 +146,7 @@ def _machine(
     from headway.controller.settling import Settling
 
     config = changed_config(path, changes)
-    names, knot_us = [axis.joint for axis in config.machine.axes], config.loop.knot_us
+    names, knot_us = [axis.joint for axis in config.machine.boards], config.loop.knot_us
     if linked is not None:
         with linked.machine(path, config, changes) as reached:
             remotes, clock = reached.remotes(), WallClock(linked.factor)

@@ -30,12 +30,12 @@ def with_truth(arrays: Arrays, plant: Arrays, task: Reference) -> Arrays:
 
 
 def told_positions(config: Config, arrays: Arrays) -> list[tuple[Array, Array]]:
-    """For each axis, times of the task [s] and positions [rad or m] as its encoder told them; a
-    continuous axis' turns are counted on."""
+    """For each axis with an encoder, times of the task [s] and positions [rad or m] as it told
+    them; a continuous axis' turns are counted on."""
     start_us, told = int(arrays["task_start_us"][0]), []
     counts = np.diff(arrays["received_sample_count_offsets"])
     devices = np.repeat(arrays["received_device"], counts)
-    for device, axis in enumerate(config.machine.axes):
+    for device, axis in enumerate(config.machine.boards):
         mine = devices == device
         time_us, first = np.unique(arrays["received_sample_time_us"][mine], return_index=True)
         count = arrays["received_sample_count"][mine][first]

@@ -36,6 +36,7 @@ class Lane:
     intervals: int
     knots: int
     seed: int
+    measured: int | None = None  # intervals of the grid whose costs are counted; None: SHIPPED
     replies: list[Reply] = field(default_factory=list)
     costs: list[float] = field(default_factory=list)
     over: list[Array] = field(default_factory=list)  # of speed and position limits, true state
@@ -47,13 +48,14 @@ class Lane:
         self._limits, n, mpc = Limits.of(config), len(self.world.q), config.mpc
         self._driven = list(config.machine.driven)
         self._node_s = np.linspace(0, mpc.horizon_us * 1e-6, self.intervals + 1)
-        # The same measure for all grids: that of the shipped one.
-        shipped = self.problem.config(SHIPPED, self.knots).mpc
+        # The same measure for all grids of a problem.
+        measured = self.measured or SHIPPED
+        shipped = self.problem.config(measured, self.knots).mpc
         self._weight = np.concatenate(
             (by_axis(shipped.position_weight, n), by_axis(shipped.velocity_weight, n))
         )
         self._step_weight = np.array(by_axis(shipped.torque_step_weight, n))
-        self._steps = self.knots / SHIPPED  # ticks in an interval of it
+        self._steps = self.knots / measured  # ticks in an interval of it
         q = self.world.q
         self._x = np.tile(np.concatenate((q, np.zeros(n)))[:, None], self.intervals + 1)
         self._u = np.tile(self.world.holding(q)[:, None], self.intervals + 1)

@@ -33,13 +33,17 @@ class Problem:
     """A shipped machine with its weights, on a grid of so many intervals."""
 
     name: str
-    config_file: str
+    config_file: str  # in configs/, or anywhere
     changes: tuple[str, ...] = ()
+
+    @property
+    def _path(self) -> Path:
+        return ROOT / "configs" / self.config_file
 
     def config(self, intervals: int, knots: int, *more: str) -> Config:
         """The cost is an integral over the horizon: weights of nodes go with their distance, those
         of torque steps against it."""
-        base = load_config(ROOT / "configs" / self.config_file, list(self.changes))
+        base = load_config(self._path, list(self.changes))
         knot_us, mpc = base.loop.knot_us, base.mpc
         longer = knots * knot_us / intervals / (mpc.horizon_us / mpc.intervals)
 
@@ -55,12 +59,12 @@ class Problem:
             f"mpc.soft_weight={times(mpc.soft_weight, longer)}",
             f"mpc.torque_step_weight={times(mpc.torque_step_weight, 1 / longer)}",
         ]  # fmt: skip
-        return load_config(ROOT / "configs" / self.config_file, [*self.changes, *said, *more])
+        return load_config(self._path, [*self.changes, *said, *more])
 
     def machine(self) -> Machine:
         """As the controller knows it."""
-        base = load_config(ROOT / "configs" / self.config_file, list(self.changes))
-        return load_machine(ROOT / "configs" / base.machine.model)
+        base = load_config(self._path, list(self.changes))
+        return load_machine(self._path.parent / base.machine.model)
 
 
 class World:

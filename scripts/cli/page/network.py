@@ -28,8 +28,8 @@ class Network:
         self._shown = shown
         self._of = {
             run: {
-                joint: statuses(run.arrays, device, run.config.loop.knot_us)
-                for device, joint in enumerate(run.joints)
+                axis.joint: statuses(run.arrays, device, run.config.loop.knot_us)
+                for device, axis in enumerate(run.config.machine.boards)
             }
             for run in shown
         }

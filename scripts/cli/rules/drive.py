@@ -9,6 +9,7 @@ import numpy as np
 
 from headway.cli.rules.rule import Rule, Status, at_least, at_most, worst
 from headway.cli.rules.subject import Array, Subject
+from headway.controller.observable import require_observable
 from headway.devices.axis import AxisUnits
 from headway.devices.settings import device_settings
 from headway.firmware import _core
@@ -24,6 +25,7 @@ HELD = 1e12  # Nm/rad or N/m
 def drive_rules(subject: Subject) -> Iterator[Rule]:
     """All of them."""
     yield _motor(subject)
+    yield _observable(subject)
     yield _integers(subject)
     yield _counts(subject)
     yield _resolution(subject)
@@ -64,10 +66,21 @@ def _told(numbers: tuple[float, ...]) -> str:
     return ", ".join(f"{number:.6g}" for number in numbers)
 
 
+def _observable(subject: Subject) -> Rule:
+    """What has no encoder shows in how the others move."""
+    name = "estimate: axes without an encoder"
+    try:
+        start = subject.reference.at(np.zeros(1))[0][0]
+        require_observable(subject.config, subject.machine, start)
+    except ValueError as error:
+        return Rule(name, Status.FAIL, remedy=str(error))
+    return Rule(name, Status.OK)
+
+
 def _integers(subject: Subject) -> Rule:
     """Limits and gains fit the board's fixed-point numbers."""
     config, name = subject.config, "board: limits and gains as integers"
-    for axis in subject.axes:
+    for axis in config.machine.boards:
         try:
             device_settings(axis, config.device, config.loop, config.sync)
         except ValueError as error:

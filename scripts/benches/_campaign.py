@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import sys
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 from headway.sim.profiles import PROFILES
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class Task(NamedTuple):
@@ -24,11 +25,22 @@ class Task(NamedTuple):
     argument: Any
 
 
-def fingerprint(effort: Any) -> str:
-    """Of what results depend on: how much is simulated, the networks and the firmware."""
+def campaign_options(parser: argparse.ArgumentParser) -> None:
+    """Those of such a benchmark."""
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="keep them, and go on from them"
+    )
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="then begin no more")
+    parser.add_argument("--processes", type=int, default=2, help="at once")
+
+
+def fingerprint(effort: Any, *sources: str) -> str:
+    """Of what results depend on: how much is simulated, the networks, the firmware and files by
+    patterns from the root on."""
     digest = hashlib.sha256(repr((effort, PROFILES)).encode())
-    for path in sorted((ROOT / "firmware").glob("*.[ch]")):
-        digest.update(path.read_bytes())
+    for pattern in ("firmware/*.[ch]", *sources):
+        for path in sorted(ROOT.glob(pattern)):
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -46,7 +58,7 @@ class Journal:
         first, *lines = path.read_text().splitlines(keepends=True)
         if json.loads(first) != {"of": of}:
             raise SystemExit(
-                f"{path}: is of another firmware, other networks or another effort: give --results "
+                f"{path}: is of other sources, other networks or another effort: give --results "
                 "another file"
             )
         if lines and not lines[-1].endswith("\n"):  # it was ended amid a line
