@@ -407,8 +407,10 @@ class Bench:
         return made
 
     def adjust(self, made: _core.DeviceSettings) -> None:
-        """Gives settings, which are taken."""
-        assert self.told_settings(made.encode()).encode() == made.encode()
+        """Gives settings; they are told again."""
+        self.give(self.seal(_core.FRAME_SETTINGS, made.encode()))
+        self.run(self.waiting)
+        assert self.told("sent") != "0"
 
     def faults(self) -> list[_core.Fault]:
         """The log, on demand."""
@@ -427,6 +429,10 @@ class Bench:
     def expect(self, state: str, reason: str | None = None) -> None:
         """Hears, and compares."""
         self.hear()
+        self.expect_now(state, reason)
+
+    def expect_now(self, state: str, reason: str | None = None) -> None:
+        """Compares what was heard last."""
         assert self.state == state, (self.state, self.reason)
         assert reason is None or self.reason == reason, self.reason
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import device_corners
+import device_doors
 import device_motion
 import device_session
 import device_stop
@@ -15,6 +17,8 @@ SCENES = (
     *device_motion.SCENES,
     *device_session.LATER,
     *device_stop.SCENES,
+    *device_corners.SCENES,
+    *device_doors.SCENES,
 )
 
 

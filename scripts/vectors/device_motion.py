@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bench import (
     COUNT_PQ,
+    EPOCH_US,
     FAULT,
     HOLD,
     INDEX,
@@ -164,12 +165,18 @@ def started(b: Bench) -> None:
     b.plans("epoch", first, at_rest(9), epoch=b.host.epoch + 1)
     for ago_us in (100_000 + 5000, -100_000 - 5000):
         b.plans("stale", first, at_rest(9), ago_us=ago_us)
-    for sink in (POSITION, TORQUE, KP):
+    b.run(1, 20)
+    refused = b.status.plans_refused
+    for sink in (POSITION, TORQUE, KP, KI, KD):
         for at in (1, 2):
-            tracks = {**at_rest(9), KP: [1 << 20] * 9}
-            tracks[sink] = [*tracks[sink]]
-            tracks[sink][at] += 1
-            b.plans("start", first + 6, tracks)
+            tracks = {**at_rest(9), **{gain: [1 << 20] * 9 for gain in (KP, KI, KD)}}
+            for off in (1, -1):
+                changed = [*tracks[sink]]
+                changed[at] += off
+                b.give(b.plan(first + 6, {**tracks, sink: changed}))
+                b.run(1, 20)
+    b.hear()
+    assert b.status.plans_refused == refused + 20
     b.plans("start", first + 6, at_rest(9, HERE + near + 1))
     b.plans("start", first + 6, at_rest(9, HERE - near - 1))
     b.plans("late", b.knot + _core.LIVE_KNOTS - 2, at_rest(9))
@@ -300,8 +307,10 @@ def moving(b: Bench) -> None:
     same = b.plan(first, {POSITION: long, TORQUE: zeros})
     assert b.verdict(same) == "accepted"
     assert b.verdict(same) == "none"  # replayed
-    b.plans("stale", b.knot + AHEAD, at_rest(9), number=b.host.plans)
-    b.plans("start", b.knot + AHEAD, {**at_rest(9), KP: [0] * 9})
+    for number in (b.host.plans, b.host.plans - 1):
+        b.plans("stale", b.knot + AHEAD, at_rest(9), number=number)
+    for gain in (KP, KI, KD):
+        b.plans("start", b.knot + AHEAD, {**at_rest(9), gain: [0] * 9})
     one, two, three = (b.plan(first + 4, {POSITION: long[4:], TORQUE: zeros[4:]}) for _ in range(3))
     assert b.verdict(three) == "accepted"
     assert b.verdict(one) == "none"
@@ -483,6 +492,7 @@ def jogging(b: Bench) -> None:
         b.go(12)
         b.orders("HOME", "BAD", "ARMED")
         b.orders("JOG", "DONE", "ARMED", second)
+        b.plans("state", b.knot + AHEAD, at_rest(9))
         b.go(12)
         b.orders("JOG", "DONE", "ARMED", 0)
         b.go(12)
@@ -561,7 +571,67 @@ def stopping(b: Bench) -> None:
     b.go(20)
     b.set(pull_q16=-2_600)
     b.until("HOLD")
+    b.expect("HOLD", "NONE")
     b.go(12)
 
 
-SCENES = (armed, zero, standing, held, started, moving, gains, gaps, homing, jogging, stopping)
+def numbers(b: Bench) -> None:
+    b.scene("the first plan of all may have the number 0, the next not", ARMED)
+    first = b.knot + AHEAD
+    b.plans("accepted", first, at_rest(30), number=0)
+    b.plans("stale", first + 9, at_rest(9), number=0)
+    b.plans("accepted", first + 9, at_rest(9), number=1)
+    for ahead in (31, 32, 33):
+        b.scene(f"a plan {ahead} numbers ahead: what is told of the ones before", STANDING)
+        accepted = b.host.plans
+        b.plans("epoch", b.knot + AHEAD, at_rest(9), number=accepted + ahead, epoch=999)
+        assert b.status.accepted_mask == (1 << 31 if ahead == 31 else 0)
+        assert b.status.plan_seen == accepted + ahead
+        b.scene(f"one that was overtaken by one {ahead} numbers ahead, which was refused", STANDING)
+        late = b.plan(b.knot + AHEAD, at_rest(9, HERE, LOAD_TQ), number=accepted + 1)
+        b.plans("epoch", b.knot + AHEAD, at_rest(9), number=accepted + 1 + ahead, epoch=999)
+        assert b.verdict(late) == "accepted"
+        assert b.status.accepted_mask == (1 << 31 if ahead == 31 else 0)
+        assert b.status.plan_accepted == accepted + 1
+    b.scene("one that was overtaken by one of the same number: stale", STANDING)
+    late, early = (b.plan(b.knot + AHEAD, at_rest(9, HERE, LOAD_TQ), number=b.host.plans + 1)
+                   for _ in range(2))  # fmt: skip
+    assert b.verdict(early) == "accepted"
+    assert b.verdict(late) == "stale"
+    for age_us, verdict in ((100_000, "start"), (100_001, "stale"), (-100_000, "start"),
+                            (-100_001, "stale")):  # fmt: skip
+        b.scene(f"a plan sent {age_us} us ago: {verdict}", ARMED)
+        b.hear()
+        ago_us = age_us - (b.device_us + PERIOD_US - _core_epoch(b))
+        packet = b.plan(b.knot + AHEAD, at_rest(9, HERE + (1 << 20)), ago_us=ago_us)
+        b.give(packet)
+        b.run(1)
+        b.hear()
+        assert _core.GATE_RESULTS[b.status.refusal] == verdict, b.status.refusal
+    b.scene("the first plan says when the brake lets go, not the next", ARMED)
+    first = b.knot + 20
+    b.plans("accepted", first, at_rest(9))
+    b.plans("accepted", first + 5, at_rest(9))
+    b.go(60)
+    b.go(40)
+
+
+def _core_epoch(b: Bench) -> int:
+    """The host's time."""
+    return EPOCH_US + b.host.now_us
+
+
+SCENES = (
+    armed,
+    zero,
+    standing,
+    held,
+    started,
+    moving,
+    gains,
+    gaps,
+    homing,
+    jogging,
+    stopping,
+    numbers,
+)

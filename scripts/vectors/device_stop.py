@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from bench import COUNT_PQ, PERIOD_US, POSITION, TORQUE, TORQUE_MAX, Bench, settings
 from device_motion import AHEAD, at_rest, way
-from device_session import ARMED, COMMAND, HOLDING, IDLE, MOVING, STANDING, UNSYNCED
+from device_session import ARMED, COMMAND, COOLING, HOLDING, IDLE, MOVING, STANDING, UNSYNCED
 
 from headway.firmware import _core
 
@@ -127,22 +127,28 @@ def heat(b: Bench) -> None:
         b.go(10)
         b.hear()
     _stopped(b, "FAULT", "I2T")
-    for _ in range(14):
-        b.order("CLEAR")
-        b.go(5)
-    b.expect("UNSYNCED") if b.state != "IDLE" else None
-    b.scene("the winding", IDLE)
+    b.keep(COOLING)
+    soon, late = 1, 120
+    while late - soon > 1:
+        periods = (soon + late) // 2
+        b.scene(f"{periods} periods after an overload: CLEAR", COOLING)
+        b.go(periods)
+        if b.order("CLEAR") == "DONE":
+            late = periods
+        else:
+            soon = periods
+    b.scene("the winding: CLEAR once it has cooled to seven eighths", IDLE)
     made = settings()
-    made.monitor.overload, made.monitor.heating_q16, made.monitor.rise_q16 = 1 << 20, 65_535, 66_000
+    made.monitor.overload, made.monitor.heating_q16 = 1 << 20, 11_000
     b.adjust(made)
     b.orders("ARM", "DONE", "ARMED", TORQUE_MAX)
-    b.go(300)
-    b.hear()
-    b.go(30)
-    for _ in range(40):
-        b.order("CLEAR")
-        b.go(20)
-    b.hear()
+    b.go(780)
+    b.expect("FAULT", "WINDING")
+    results = []
+    for _ in range(16):
+        results.append(b.order("CLEAR"))
+        b.go(50)
+    assert {"CAUSE", "DONE"} <= {*results}, results
     b.scene("at the ceiling for too long: TAIL, again and again", IDLE)
     b.orders("ARM", "DONE", "ARMED", TORQUE_MAX)
     b.set(wall=320)

@@ -105,6 +105,7 @@ static void replay_device_blank(void) {
     bench.board.flipped = -1;
     bench.board.supply_mV = 24000;
     bench.board.axis.wall_q16 = INT64_MAX;
+    bench.board.axis.floor_q16 = INT64_MIN;
     bench.board.collects = true;
 }
 
@@ -135,6 +136,7 @@ static void replay_device_set(void) {
     SET(pull_q16, axis->pull_q16, 1)
     SET(turn_q16, axis->turn_q16, 1)
     SET(wall, axis->wall_q16, 1 << 16)
+    SET(floor, axis->floor_q16, 1 << 16)
     SET(position, axis->position_q16, 1 << 16)
 #undef SET
     if (is_given("random"))

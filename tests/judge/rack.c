@@ -124,5 +124,7 @@ void rack_advance(struct board *of, uint32_t step_us) {
     axis->position_q16 += speed_q16 * step_us;
     if (axis->position_q16 > axis->wall_q16)
         axis->position_q16 = axis->wall_q16;
+    if (axis->position_q16 < axis->floor_q16)
+        axis->position_q16 = axis->floor_q16;
     of->encoder_count = (int32_t)(uint32_t)(uint64_t)(axis->position_q16 >> 16);
 }

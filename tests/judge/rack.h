@@ -25,7 +25,8 @@ struct rack_axis {
     int32_t speed_q16;    // at a duty of 32768, while the bridge is on and the brake off
     int32_t pull_q16;     // then, whatever the duty is
     int32_t turn_q16;     // always: somebody turns it
-    int64_t wall_q16;     // a stop that it cannot pass
+    int64_t wall_q16;     // a stop that it cannot pass ...
+    int64_t floor_q16;    // ... and the one at its other end
 };
 
 struct board {
