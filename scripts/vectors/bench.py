@@ -191,12 +191,15 @@ class Bench:
         self.ask("device-set", **values)
 
     def boot(
-        self, made: _core.DeviceSettings | None = None, count_us: int = FIRST_COUNT_US
+        self,
+        made: _core.DeviceSettings | None = None,
+        count_us: int = FIRST_COUNT_US,
+        random: int = 0x0123456789ABCDEF,
     ) -> None:
         """With settings in memory, and a sensible axis."""
         made = settings() if made is None else made
         self.ask("device-record", record=SETTINGS_A, bytes=record(1, made.encode(True)))
-        self.set(random="0123456789abcdef", speed_q16=200 * 65536 // PERIOD_US)
+        self.set(random=f"{random:016x}", speed_q16=200 * 65536 // PERIOD_US)
         self.ask("device-boot", count_us=count_us)
         self.host.count_us = count_us
 

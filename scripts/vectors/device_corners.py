@@ -303,7 +303,7 @@ def gains(b: Bench) -> None:
                 b.plans("accepted", b.knot + AHEAD, tracks)
                 b.set(speed_q16=0)
                 b.go(26)
-                for i in (1, 3, 2, 6, 5):
+                for i in (1, 150, 2, 6, 5):
                     b.set(position=321 - i)
                     b.run(2)
 
@@ -386,4 +386,137 @@ def brakes(b: Bench) -> None:
     assert not b.braked
 
 
-SCENES = (between, forgotten, torques, counted, gains, tasks, brakes)
+def configured(b: Bench) -> None:
+    b.scene("another offset, and ARM before the next period: it holds where it is", IDLE)
+    made = settings()
+    made.offset_count = -700
+    b.give(b.seal(_core.FRAME_SETTINGS, made.encode()))
+    b.run(1, 50)
+    _order(b, "ARM")
+    _align(b, 100)
+    b.orders("JOG", "DONE", "ARMED", 0)
+    b.go(6)
+    b.expect("ARMED", "NONE")
+    b.scene("another time of the brake: it is engaged already", IDLE)
+    made = settings()
+    made.brake_periods = 9
+    b.adjust(made)
+    b.orders("ARM", "DONE", "ARMED", LOAD_TQ)
+    b.set(line_open=1)
+    b.run(1)
+    assert not b.powered
+    b.run(12)
+    b.scene("no stamps for 2^31 us: what is told stays within 32 bits", IDLE)
+    made = settings()
+    made.sync.drift_ppm, made.sync.wander_ppb_s = 1, 0
+    made.sync.limit_us = 900_000
+    made.monitor.late_us, made.sync_lost_us = 4_000_000_000, 2_147_400_000
+    b.adjust(made)
+    b.sync()
+    b.hear()
+    b.sync()
+    b.hear()
+    b.orders("ARM", "DONE", "ARMED")
+    b.syncing = False
+    for step_us in (1_000_000_000, 1_000_000_000, 150_000_000):
+        b.run(1, step_us, tell=1)
+    b.run(9, tell=1)
+    assert b.reason == "SYNC_LOST", b.reason
+    assert (b.status.fault.value, b.status.fault.limit) == ((1 << 31) - 1, 2_147_400_000)
+    for sink in (TORQUE, KP, KI, KD):
+        b.scene(f"track {sink} is longer than the others: the plan rests when it ends", ARMED)
+        first = b.knot + AHEAD
+        b.plans("accepted", first, {POSITION: [HERE] * 30, sink: [1 << 18] * 30})
+        b.go(9)
+        b.plans("accepted", first, {POSITION: [HERE] * 8})
+        b.go(60)
+        b.expect("COAST")
+        b.until("HOLD")
+
+
+def watched(b: Bench) -> None:
+    for sign in (1, -1):
+        still, turning = 30, 110
+        while turning - still > 1:
+            polls = (still + turning) // 2
+            b.scene(f"ARM of an axis that turns by {sign} count a period, after {polls}", IDLE)
+            b.set(turn_q16=64 * sign)
+            b.run(polls, 1024)
+            if b.order("ARM") == "DONE":
+                still = polls
+            else:
+                turning = polls
+    b.scene("without power there is no load", IDLE)
+    made = settings()
+    made.monitor.load_q8 = _core.Scale(512, 0)
+    b.adjust(made)
+    b.go(60)
+    b.expect("IDLE")
+    b.scene("at the ceiling for too long, downwards", IDLE)
+    made = settings()
+    made.monitor.overload = 1 << 20
+    b.adjust(made)
+    b.set(floor=322, position=322)
+    b.run(1)
+    _let_go(b, -TORQUE_MAX)
+    b.set(floor=323)
+    b.go(20)
+    b.hear()
+    assert b.reason == "TORQUE"
+    b.scene("an axis that does not know where it is has no limits", IDLE)
+    made = settings()
+    made.home.method, made.offset_count = INDEX, 18_000
+    b.adjust(made)
+    _let_go(b)
+    b.orders("JOG", "DONE", "ARMED", 1 << 28)
+    b.go(20)
+    b.expect("ARMED", "NONE")
+    b.scene("at rest in HOLD it has no limits", IDLE)
+    b.orders("ZERO", "DONE", "IDLE", 16_995)
+    _let_go(b)
+    b.order("STOP")
+    b.until("HOLD")
+    b.set(speed_q16=0, turn_q16=65536 // PERIOD_US)
+    b.go(12)
+    b.expect("HOLD", "HOST")
+    for method, kind in ((STOP, "PLAN"), (STOP, "JOG"), (INDEX, "HOME")):
+        b.scene(f"against a wall, with a way to home of {method}: {kind}", IDLE)
+        made = settings()
+        made.home.method = method
+        b.adjust(made)
+        b.set(wall=321, speed_q16=0)
+        if kind == "PLAN":
+            b.orders("ZERO", "DONE", "IDLE", 321)
+        b.orders("ARM", "DONE", "ARMED")
+        if kind == "PLAN":
+            points = way(4)
+            b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: [0] * len(points)})
+        else:
+            b.orders(kind, "DONE", "ARMED", 1 << 28)
+        b.go(70)
+        b.expect("FAULT", "STUCK")
+    b.scene("the guard trips in a fault's ramp: the encoder is trusted all the same", IDLE)
+    made = settings()
+    made.home.method = INDEX
+    b.adjust(made)
+    b.orders("ZERO", "DONE", "IDLE", 321)
+    _let_go(b)
+    b.set(supply_mV=31_000)
+    b.run(4)
+    b.set(line_open=1, supply_mV=24_000)
+    b.hang(1, 10)
+    b.set(line_open=0)
+    b.go(30)
+    b.orders("CLEAR", "DONE", "UNSYNCED")
+    assert b.status.homed
+    b.scene("past its limit in the ramp of an emergency: the brake at once", IDLE)
+    b.orders("ZERO", "DONE", "IDLE", 16_950)
+    _let_go(b)
+    b.set(speed_q16=0, turn_q16=4 * 65536 // PERIOD_US)
+    b.run(8)
+    b.set(line_open=1)
+    for _ in range(5):
+        b.run(4)
+
+
+SCENES = (configured, watched, between, forgotten, torques, counted, gains, tasks, brakes)

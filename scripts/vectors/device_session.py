@@ -133,6 +133,11 @@ def hellos(b: Bench) -> None:
     assert b.told("sent") == "0"
     b.give(b.seal(SYNC, payload))
     b.expect("UNSYNCED")
+    b.scene("a HELLO at the very count of the boot", None)
+    b.boot()
+    b.give(_core.hello(A_NONCE))
+    b.run(1, 0, tell=1)
+    assert b.told("sent") == "1"
     for elapsed_us, begins in ((1_000_000, True), (1_000_001, False)):
         b.scene(f"an offer after {elapsed_us} us: {begins}")
         b.boot()
@@ -145,6 +150,14 @@ def hellos(b: Bench) -> None:
         b.run(1, 1)
         b.run(5)
         assert (b.told("sent") != "0") == begins
+    b.scene("a session that begins without stamps: all samples since the boot are told", None)
+    b.boot()
+    b.syncing = False
+    b.go(70)
+    assert b.greet(A_NONCE) == "ok"
+    b.give(b.seal(COMMAND, b.command("FAULTS")))
+    b.hear()
+    assert len(b.status.samples) > 16
     b.scene("offers of 2^31 us and more ago have lapsed all the same")
     b.boot()
     b.syncing = False
@@ -162,7 +175,8 @@ def replaced(b: Bench) -> None:
         b.syncing = False
         b.go(20)
         assert b.greet(C_NONCE) == "ok"
-        b.sync()
+        b.sync(-50_000)  # its time is another one
+        b.run(3, tell=1)
         b.expect(state)
         s = b.status
         assert (s.epoch, s.command_number, s.command_result) == (0, 0, 0)
@@ -216,6 +230,22 @@ def settled(b: Bench) -> None:
 
 
 def contradicted(b: Bench) -> None:
+    for offset_us in (9, 14, 20):
+        b.scene("out of UNSYNCED a clock is steered, and does not step", IDLE)
+        b.syncing = False
+        b.sync()
+        b.go(85)
+        b.sync(offset_us)
+        b.go(9)
+        b.hear()
+    b.scene("contradicted before it has settled: it begins anew, from what is said then", UNSYNCED)
+    b.syncing = False
+    for i in range(24):
+        b.sync(500_000 if i > 3 else 0)
+        b.run(2, tell=1)
+    b.hear()
+    assert b.status.stamps_excluded == 16
+    assert abs(b.device_us - EPOCH_US - b.host.now_us - 500_000) < 2000
     b.scene("stamps that contradict it while it is armed: it goes by what it knows", ARMED)
     b.syncing = False
     for i in range(70):
@@ -323,7 +353,7 @@ def groups(b: Bench) -> None:
 
 
 def statuses(b: Bench) -> None:
-    for dither_us in (0, 1, 3000):
+    for dither_us in (0, 1, 2, 3000):
         b.scene(f"statuses: at each knot, one in four up to {dither_us} us later", UNSYNCED)
         made = settings()
         made.dither_us = dither_us
@@ -335,6 +365,11 @@ def statuses(b: Bench) -> None:
         for _ in range(24):
             b.report(170)
             b.run(1, 80)
+        b.hear()
+        for _ in range(4):  # a servo period begins when it is due, not before
+            b.run(1, 999)
+            b.run(1, 1)
+        b.hear()
 
 
 def marks(b: Bench) -> None:
@@ -372,11 +407,19 @@ def neighbours(b: Bench) -> None:
         b.scene(f"boards at two ports, {'among themselves' if among else 'beside a host'}")
         made = settings()
         made.neighbours, made.ask_us, made.peer_least_us, made.dither_us = 0b10100, 60_000, 20, 900
-        made.sync.among_boards = among
-        b.boot(made)
+        made.sync.among_boards, made.sync_lost_us = among, 1_000_000
+        b.boot(made, random=0xFEDCBA9876543210)
+        b.syncing = False
+        b.give(_core.cobs_encode(request(PEER_KEY, 999)), 2)
+        for _ in range(4):
+            b.run(1, tell=3)
         assert b.greet(A_NONCE) == "ok"
+        b.give(_core.cobs_encode(request(PEER_KEY, 998)), 2)
+        b.run(1, 50)
+        b.syncing = True
         b.sync()
-        b.run(6, tell=4)
+        b.run(1, 50)
+        b.run(9, 300, tell=4)
         for port in range(5):
             b.give(_core.cobs_encode(request(PEER_KEY, 1000 + port)), port, ago_us=40)
             b.give(_core.cobs_encode(request(PEER_KEY, 1000 + port)) + b"\1", port)
@@ -389,7 +432,7 @@ def neighbours(b: Bench) -> None:
                 frame = _core.cobs_decode(packet) or b""
                 if port and frame[1] == _core.FRAME_WELCOME + 3:
                     nonce = int.from_bytes(frame[2:10], "little")
-                    at_us = EPOCH_US + b.host.now_us + 77_000
+                    at_us = EPOCH_US + b.host.now_us - 200 + 77_000 * among
                     said = response(PEER_KEY, nonce, at_us - 500, at_us, -900, 800, 4321, 1)
                     b.give(_core.cobs_encode(said), port, ago_us=60)
         b.hear()
@@ -397,6 +440,21 @@ def neighbours(b: Bench) -> None:
         b.give(_core.cobs_encode(request(PEER_KEY, 77)), 4)
         b.run(3, tell=3)
         assert b.status.frames_bad >= 5
+        if among:
+            continue
+        b.syncing = False  # the host contradicts what a neighbour, too, has said
+        b.hear()
+        excluded = b.status.stamps_excluded
+        for _ in range(63):
+            b.sync(500_000)
+            b.run(1)
+        b.expect("IDLE")
+        assert b.status.stamps_excluded == excluded + 63
+        b.sync(500_000)
+        b.run(2)
+        b.expect("UNSYNCED")
+        b.sync(500_000)
+        b.run(9)
 
 
 def told(b: Bench) -> None:

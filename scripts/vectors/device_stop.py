@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench import COUNT_PQ, PERIOD_US, POSITION, TORQUE, TORQUE_MAX, Bench, settings
+from bench import COUNT_PQ, PERIOD_US, POSITION, TORQUE, TORQUE_MAX, Bench, Tracks, settings
 from device_motion import AHEAD, at_rest, way
 from device_session import ARMED, COMMAND, COOLING, HOLDING, IDLE, MOVING, STANDING, UNSYNCED
 
@@ -123,10 +123,8 @@ def heat(b: Bench) -> None:
     b.go(40)
     b.scene("overload at rest", IDLE)
     b.orders("ARM", "DONE", "ARMED", TORQUE_MAX)
-    for _ in range(6):
-        b.go(10)
-        b.hear()
-    _stopped(b, "FAULT", "I2T")
+    b.until("FAULT", 60)
+    b.expect("FAULT", "I2T")
     b.keep(COOLING)
     soon, late = 1, 120
     while late - soon > 1:
@@ -171,6 +169,11 @@ def line(b: Bench) -> None:
         b.go(6)
         b.expect("ESTOP")
         b.orders("CLEAR", "DONE", "UNSYNCED")
+    for slot in (ARMED, HOLDING):
+        b.scene("the line opens after a while: its ramp is as long as at first", slot)
+        b.go(40)
+        b.set(line_open=1)
+        b.run(9)
     b.scene("the line opens in a stop, and in a fault", MOVING)
     b.give(b.seal(COMMAND, b.command("STOP")))
     b.run(4)
@@ -263,14 +266,32 @@ def guarded(b: Bench) -> None:
     b.run(6, 300, guard=1)
     b.run(20, guard=1)
     b.expect("FAULT", "LATE")
-    for slot in (ARMED, MOVING):
-        for call in range(1, 6):
-            b.scene(f"the guard trips before call {call} of a period", slot)
-            b.set(interrupt_at=call)
-            b.run(1, 4200)
+    for slot in (ARMED, STANDING, MOVING, HOLDING):
+        for call in range(1, 5):
+            b.scene(f"the guard trips before output {call} of a period is set", slot)
+            b.set(interrupt_at=call, interrupt_opens=1)
+            b.run(1)
+            assert b.braked and b.numbers("duty_q15") == [0]
             b.run(6)
             b.hear()
             b.go(4)
+        b.scene("the guard trips by a line that the servo has not seen: LATE, by its numbers", slot)
+        b.set(line_open=1)
+        b.hang(1, 10)
+        b.set(line_open=0)
+        for _ in range(4):
+            b.run(1, tell=1)
+        b.expect("FAULT", "LATE")
+        b.go(40)
+        b.orders("CLEAR", "DONE", "UNSYNCED")
+    for slot in (STANDING, MOVING, HOLDING):
+        for calls in (5, 6, 7, 8, 9):
+            b.scene(f"the guard brakes, and the main loop is back after {calls} ms", slot)
+            b.run(2, guard=1)
+            b.hang(calls)
+            b.give(b.seal(COMMAND, b.command("CLEAR")))
+            b.run(1, guard=1, tell=1)
+            b.run(5, guard=1, tell=1)
     b.scene("late, a little and too much", ARMED)
     for step_us in (4999, 1000, 5000, 1000, 5001, 1000):
         b.run(1, step_us)
@@ -279,6 +300,16 @@ def guarded(b: Bench) -> None:
     b.scene("late, without power", IDLE)
     b.run(1, 60_000)
     b.expect("IDLE")
+
+    b.scene("CLEAR of an axis that has not been homed", IDLE)
+    made = settings()
+    made.home.method = 1
+    b.adjust(made)
+    b.set(line_open=1)
+    b.go(5)
+    b.set(line_open=0)
+    b.orders("CLEAR", "DONE", "UNSYNCED")
+    assert not b.status.homed
 
 
 def several(b: Bench) -> None:
@@ -328,24 +359,41 @@ def signals(b: Bench) -> None:
         b.run(14, tell=2)
         b.set(line_open=1)
         b.run(4, tell=2)
-    b.scene("outputs are off without a settled clock, and with another host's session", IDLE)
-    b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [(2, 21, 0, 0, 0)], [21, 32], [16], [])))
-    b.set(inputs=1)
-    b.run(6, tell=2)
-    assert ("digital", "3") in b.answer, b.answer
-    assert b.greet(bytes([7]) * 16) == "ok"
-    b.sync()
-    b.run(8, tell=2)
-    assert "digital" not in dict(b.answer)
-    b.scene("gain tracks as values, and none", ARMED)
-    points = way(2)
-    n = len(points)
-    tracks = {POSITION: points, TORQUE: [0] * n, 2: [1 << 20] * n}
-    b.plans("accepted", b.knot + AHEAD, tracks)
-    every = [(0, source, 0, 2) for source in (2, 3, 0, 1)]
-    b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [], [], [], every)))
-    b.run(20, tell=2)
-    b.run(30, tell=2)
+    for digital, on in (([21, 32], "3"), ([21], "1")):
+        b.scene("a fault switches outputs off", IDLE)
+        b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [(2, 21, 0, 0, 0)], digital, [16], [])))
+        b.set(inputs=1)
+        b.run(6, tell=2)
+        assert ("digital", on) in b.answer, b.answer
+        b.keep(COOLING)
+        b.set(position=5000)
+        b.run(4, tell=2)
+        assert "digital" not in dict(b.answer)
+        b.scene("so does another host's session, in which no clock has settled", COOLING)
+        b.go(20)
+        assert b.greet(bytes([7]) * 16) == "ok"
+        b.sync()
+        b.run(8, tell=2)
+        assert "digital" not in dict(b.answer)
+    for source in (0, 1, 2, 3, 4, *range(16, 25)):
+        b.scene(f"logic that reads source {source} alone", MOVING)
+        b.set(inputs=0b1111)
+        b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [], [], [], [(0, source, 0, 2)])))
+        b.run(7, tell=1)
+    for sinks in ((2, 3, 4), (4,)):
+        b.scene(f"gain tracks {sinks} as values", ARMED)
+        points = way(2)
+        n = len(points)
+        tracks: Tracks = {POSITION: points, TORQUE: [0] * n}
+        tracks |= {sink: [(1 << 20) + sink] * n for sink in sinks}
+        b.plans("accepted", b.knot + AHEAD, tracks)
+        every = [(0, source, 0, 2) for source in (2, 3, 4, 0)]
+        b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [], [], [], every)))
+        b.run(20, tell=1)
+        for source in (2, 3, 4):
+            logic = _logic(source, [], [], [], [(0, source, 0, 2)])
+            b.give(b.seal(_core.FRAME_LOGIC, logic))
+            b.run(6, tell=1)
 
 
 SCENES = (encoder, motion, heat, line, lost, guarded, several, signals)

@@ -48,7 +48,10 @@ void rack_switched(int32_t output, int32_t value, uint32_t count_us) {
     fold(count_us);
 }
 
-void rack_interrupt(struct board *board) { device_guard(&bench.device, board); }
+void rack_interrupt(struct board *board) {
+    board->line_open |= board->interrupt_opens;
+    device_guard(&bench.device, board);
+}
 
 static void begin_line(void) {
     memset(&seen, 0, sizeof seen);
@@ -132,6 +135,7 @@ static void replay_device_set(void) {
     SET(supply_mV, board->supply_mV, 1)
     SET(inputs, board->digital_inputs, 1)
     SET(interrupt_at, board->interrupt_at, 1)
+    SET(interrupt_opens, board->interrupt_opens, 1)
     SET(speed_q16, axis->speed_q16, 1)
     SET(pull_q16, axis->pull_q16, 1)
     SET(turn_q16, axis->turn_q16, 1)

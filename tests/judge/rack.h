@@ -52,7 +52,8 @@ struct board {
     struct rack_packet waiting[RACK_PACKETS];
     int32_t packets;      // that wait
     bool collects;        // what is sent, in place of saying it
-    int32_t interrupt_at; // the guard comes before so many more of the calls below; 0: not
+    int32_t interrupt_at; // the guard comes before the n-th call that sets an output; 0: not
+    bool interrupt_opens; // then the emergency line opens just before it
 };
 
 // What a device with this board sent, or switched beside its axis; device.c.
