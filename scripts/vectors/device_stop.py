@@ -284,9 +284,13 @@ def guarded(b: Bench) -> None:
         b.expect("FAULT", "LATE")
         b.go(40)
         b.orders("CLEAR", "DONE", "UNSYNCED")
-    for slot in (STANDING, MOVING, HOLDING):
+    for slot in (IDLE, MOVING):
         for calls in (5, 6, 7, 8, 9):
             b.scene(f"the guard brakes, and the main loop is back after {calls} ms", slot)
+            if slot == IDLE:
+                b.orders("ARM", "DONE", "ARMED")
+                b.orders("JOG", "DONE", "ARMED", 0)
+                b.go(8)
             b.run(2, guard=1)
             b.hang(calls)
             b.give(b.seal(COMMAND, b.command("CLEAR")))
