@@ -60,6 +60,7 @@ void signals_report(const struct signals *signals, struct report *report) {
     report->lost = readings->lost;
     report->first = readings->kept;
     report->count = (uint8_t)(waiting < REPORT_READINGS ? waiting : REPORT_READINGS);
+    report->readings[0] = (struct reading){0}; // its time is told, also where there is none
     for (uint32_t i = 0; i < report->count; i++)
         report->readings[i] = readings->ring[(readings->kept + i) % READINGS];
 }

@@ -15,6 +15,7 @@ from random import Random
 
 import clock
 import codec
+import device
 import gate
 import group
 import guard
@@ -72,17 +73,20 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "logics": signals.logics,
     "reports": signals.reports,
 }
+# Those whose lines follow from answers before them.
+DIALOGUES: dict[str, Callable[[Path], Iterator[str]]] = {"devices": device.devices}
 
 
-def questions(name: str) -> str:
+def questions(judge: Path, name: str) -> str:
     """A file without its answers."""
     head = f"# {name}: made by scripts/vectors; README.md describes the format.\n"
-    return head + "".join(f"{line}\n" for line in KINDS[name](Random(name)))
+    lines = DIALOGUES[name](judge) if name in DIALOGUES else KINDS[name](Random(name))
+    return head + "".join(f"{line}\n" for line in lines)
 
 
 def answered(judge: Path, name: str) -> str:
     """A file with this firmware's answers."""
-    asked = questions(name)
+    asked = questions(judge, name)
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
         file.write(asked)
         file.flush()
@@ -97,9 +101,10 @@ def main(names: list[str]) -> None:
     VECTORS.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         judge = compile_judge(Path(folder) / "judge")
-        for name in names or KINDS:
-            if name not in KINDS:
-                sys.exit(f"no vectors called {name}; there are: {', '.join(KINDS)}")
+        known = [*KINDS, *DIALOGUES]
+        for name in names or known:
+            if name not in known:
+                sys.exit(f"no vectors called {name}; there are: {', '.join(known)}")
             (VECTORS / f"{name}.txt").write_text(answered(judge, name))
 
 

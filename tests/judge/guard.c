@@ -8,16 +8,6 @@ static struct device device, usual; // of the latter, the settings
 static struct guard *const guard = &device.guard;
 static struct board board;
 
-uint32_t board_count_us(const struct board *of) { return of->count_us; }
-
-bool board_stop_line(const struct board *of) { return of->line_open; }
-
-void board_set_power(struct board *of, bool on) { of->power = on; }
-
-void board_set_duty(struct board *of, int32_t duty_q15) { of->duty_q15 = duty_q15; }
-
-void board_set_brake(struct board *of, bool engaged) { of->brake = engaged; }
-
 static void take_settings(struct device_settings *settings) {
     if (is_given("servo_period_us"))
         settings->servo_period_us = (uint16_t)given("servo_period_us");

@@ -23,7 +23,7 @@ struct field {
 static const struct word *const tables[] = {
     codec_words, handshake_words, payload_words,   motion_words, stop_words,
     clock_words, settings_words,  guard_words,     group_words,  history_words,
-    servo_words, peer_words,      neighbour_words, signal_words};
+    servo_words, peer_words,      neighbour_words, signal_words, device_words};
 static const char *file_name;
 static int line_number;
 static struct field fields[FIELDS_MAX];
@@ -257,6 +257,8 @@ int main(int argc, char **argv) {
     setrlimit(RLIMIT_CORE, &core);
 #endif
     bool publish = argc > 1 && strcmp(argv[1], "--answer") == 0;
+    if (publish)
+        setvbuf(stdout, 0, _IOLBF, BUFSIZ); // a generator may wait for each answer
     if (argc < 2 + publish) {
         fprintf(stderr, "usage: judge [--answer] FILE ...\n");
         return 2;

@@ -1,26 +1,18 @@
 // Replays neighbours*: what a board asks those beside it, and what it answers them.
-#include "neighbours.h"
-#include "device.h"
+//
+// Stamps end here, where a device would take them for its clock: so this file has a second copy of
+// firmware/neighbours.c, under other names, which hands them to it.
+#define device_take_stamps judge_take_stamps
+#define neighbours_flush judge_flush
+#define neighbours_speak judge_speak
+#define neighbours_take judge_take
 #include "judge.h"
 #include "rack.h"
+#include <neighbours.c>
 #include <string.h>
-
-#define RANDOM_STEP 0x9e3779b97f4a7c15u
 
 static struct device device;
 static struct board board;
-
-uint64_t board_random(struct board *of) {
-    uint64_t drawn = of->random;
-    of->random += RANDOM_STEP;
-    return drawn;
-}
-
-void board_send(struct board *of, int32_t port, const uint8_t *bytes, int32_t size) {
-    (void)of;
-    say_number("port", port);
-    say_bytes("packet", bytes, size);
-}
 
 // In place of the device's own: what it is handed.
 void device_take_stamps(struct device *of, const struct sync_source *source,

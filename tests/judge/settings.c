@@ -170,26 +170,6 @@ static void replay_settings_decode(void) {
 
 static struct board board;
 
-int32_t board_load(const struct board *of, enum board_record record, uint8_t *bytes,
-                   int32_t capacity) {
-    const struct memory *memory = &of->memory[record];
-    if (memory->size > capacity)
-        return 0;
-    memcpy(bytes, memory->bytes, (size_t)memory->size);
-    return memory->size;
-}
-
-void board_save(struct board *of, enum board_record record, const uint8_t *bytes, int32_t size) {
-    struct memory *memory = &of->memory[record];
-    memory->size = size < of->kept ? size : of->kept;
-    memcpy(memory->bytes, bytes, (size_t)memory->size);
-    memory->size += of->grown;
-    if (of->flipped >= 0)
-        memory->bytes[of->flipped] ^= 1;
-    say_number("record", record);
-    say_bytes("saved", bytes, size);
-}
-
 static void replay_store_blank(void) { board = (struct board){0}; }
 
 static void replay_store_record(void) {
