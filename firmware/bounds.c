@@ -56,12 +56,22 @@ static void carry(struct bounds_side *side, const struct bounds_limits *limits,
 
 // The same from one servo period to the next: 32 bits hold the skew, which is within the drift, and 16
 // what elapses.
-static void carry_briefly(struct bounds_side *side, int32_t drift_q32, int32_t wandered_q32,
-                          uint16_t elapsed_us) {
+static inline void carry_briefly(struct bounds_side *side, int32_t drift_q32, int32_t wandered_q32,
+                                 uint16_t elapsed_us) {
     int32_t skew_q32 = (int32_t)side->skew_q32;
     skew_q32 = skew_q32 < -drift_q32 + wandered_q32 ? -drift_q32 : skew_q32 - wandered_q32;
     side->skew_q32 = skew_q32;
     side->value_q16 += fixed_mul_q16(skew_q32, elapsed_us);
+}
+
+// Apart, and called: what it needs of registers would slow the usual case.
+static __attribute__((noinline)) void
+carry_far(struct bounds *bounds, const struct bounds_limits *limits, int64_t elapsed_us) {
+    // Beyond an hour, which nobody waits, the skew may be anything within the drift.
+    int64_t wandered_q32 = elapsed_us < 1LL << 32 ? ((elapsed_us * limits->wander_q64) >> 32) + 1
+                                                  : 2 * limits->drift_q32;
+    carry(&bounds->lower, limits, wandered_q32, elapsed_us);
+    carry(&bounds->upper, limits, wandered_q32, elapsed_us);
 }
 
 void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, int64_t ticks_us) {
@@ -69,19 +79,14 @@ void bounds_advance(struct bounds *bounds, const struct bounds_limits *limits, i
     if (elapsed_us <= 0)
         return;
     bounds->ticks_us = ticks_us;
-    if (elapsed_us <= UINT16_MAX) {
-        uint16_t brief_us = (uint16_t)elapsed_us;
-        int32_t wandered_q32 = (fixed_mul_q16(limits->wander_q64, brief_us) >> 16) + 1;
-        carry_briefly(&bounds->lower, limits->drift_q32, wandered_q32, brief_us);
-        carry_briefly(&bounds->upper, limits->drift_q32, wandered_q32, brief_us);
-    } else {
-        // Beyond an hour, which nobody waits, the skew may be anything within the drift.
-        int64_t wandered_q32 = elapsed_us < 1LL << 32
-                                   ? ((elapsed_us * limits->wander_q64) >> 32) + 1
-                                   : 2 * limits->drift_q32;
-        carry(&bounds->lower, limits, wandered_q32, elapsed_us);
-        carry(&bounds->upper, limits, wandered_q32, elapsed_us);
+    if (elapsed_us > UINT16_MAX) {
+        carry_far(bounds, limits, elapsed_us);
+        return;
     }
+    uint16_t brief_us = (uint16_t)elapsed_us;
+    int32_t wandered_q32 = (fixed_mul_q16(limits->wander_q64, brief_us) >> 16) + 1;
+    carry_briefly(&bounds->lower, limits->drift_q32, wandered_q32, brief_us);
+    carry_briefly(&bounds->upper, limits->drift_q32, wandered_q32, brief_us);
 }
 
 // The least skew, seen from `side`, at which its lines and those of the other side leave room, by
@@ -216,7 +221,9 @@ int64_t bounds_nearest_q16(const struct bounds *bounds, int64_t offset_q16) {
 }
 
 int32_t bounds_nearest_skew_q32(const struct bounds *bounds, int32_t skew_q32) {
-    return (int32_t)within(skew_q32, bounds->lower.skew_q32, -bounds->upper.skew_q32);
+    int32_t least_q32 = (int32_t)bounds->lower.skew_q32; // within the drift
+    int32_t most_q32 = -(int32_t)bounds->upper.skew_q32;
+    return skew_q32 < least_q32 ? least_q32 : skew_q32 > most_q32 ? most_q32 : skew_q32;
 }
 
 int32_t bounds_skew_q32(const struct bounds *bounds) {

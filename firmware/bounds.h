@@ -35,10 +35,10 @@ struct bounds_line {
 };
 
 struct bounds_side {
+    int64_t value_q16; // the side's bound now; without lines far below all
+    int64_t skew_q32;  // and of the skew (of the upper side: of its negative)
     int32_t count;
     struct bounds_line lines[BOUNDS_LINES]; // in any order
-    int64_t value_q16;                      // the side's bound now; without lines far below all
-    int64_t skew_q32;                       // and of the skew (of the upper side: of its negative)
 };
 
 struct bounds {

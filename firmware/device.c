@@ -3,6 +3,7 @@
 #include "drive.h"
 #include "happen.h"
 #include "inbox.h"
+#include "near.h"
 #include "outbox.h"
 #include "store.h"
 #include <string.h>
@@ -18,6 +19,7 @@ void device_configure(struct device *device, const struct device_settings *setti
     device->offset_count = settings->offset_count;
     device_locate(device); // what is asked for next may rely on it
     device->brake_periods = settings->brake_periods;
+    device->steer_every = (uint16_t)(DEVICE_STEER_US / settings->servo_period_us);
     device->status.homed = settings->home.method == HOME_NONE;
 }
 
@@ -90,7 +92,11 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
         .may_stand = device->brake ||
                      (device->home.task == TASK_HOME && device->settings.home.method == HOME_STOP),
     };
-    struct breach breach = monitor_step(&device->settings.monitor, &device->monitor, &seen);
+    const struct monitor_settings *settings = &device->settings.monitor;
+    struct monitor *monitor = &device->monitor;
+    NEAR(settings);
+    NEAR(monitor);
+    struct breach breach = monitor_step(settings, monitor, &seen);
     if (breach.reason != REASON_NONE)
         happen_breach(device, breach, count_us);
 }
@@ -120,7 +126,8 @@ static void follow_sync(struct device *device, uint32_t count_us) {
         sync_restart(&device->sync);
         happen(device, EVENT_SYNC_LOST);
     } else if (sync->settled && alone_us <= device->settings.sync_lost_us) {
-        happen(device, EVENT_SYNCED);
+        if (device->state == DEVICE_UNSYNCED) // the only one in which that is news
+            happen(device, EVENT_SYNCED);
     } else if (device->state > DEVICE_UNSYNCED) {
         struct breach alone = {REASON_SYNC_LOST, (int32_t)fixed_clamp64(alone_us, INT32_MAX),
                                (int32_t)device->settings.sync_lost_us};
@@ -139,7 +146,8 @@ static void follow(struct device *device, const struct board *board, int64_t kno
         happen(device, EVENT_ESTOP);
     if (device->state == DEVICE_BOOT)
         happen(device, EVENT_BOOTED);
-    follow_sync(device, count_us);
+    if (device->steer_part >= SYNC_PARTS) // nothing is new in the others
+        follow_sync(device, count_us);
     if (knot - device->accepted_knot > DEVICE_COAST_KNOTS && happen(device, EVENT_OVERDUE))
         device->status.counters.coasts++;
     if (device->state == DEVICE_COAST && tracks_rest(device, knot))
@@ -165,8 +173,11 @@ void device_report(struct device *device, struct board *board) {
 }
 
 static void run_signals(struct device *device, struct board *board, const struct instant *now) {
-    int32_t *values = device->signals.values;
-    uint32_t reads = device->signals.reads;
+    struct signals *signals = &device->signals;
+    NEAR(signals);
+    int32_t *values = signals->values;
+    uint32_t reads = signals->reads;
+    NEAR(values);
     values[TRACK_POSITION] = device->setpoint.position_pq;
     values[TRACK_TORQUE] = device->setpoint.torque_tq;
     for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
@@ -184,17 +195,47 @@ static void run_signals(struct device *device, struct board *board, const struct
             values[INPUT_DIGITAL + i] = inputs >> i & 1;
     }
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
-    signals_step(&device->signals, board, &device->clock, device->settings.servo_period_us, live);
+    signals_step(signals, board, &device->clock, device->settings.servo_period_us, live);
+}
+
+// One track's next span a period: so none has to make all of them as a knot begins. Not in one that
+// steers, which is the longest as it is.
+static void look_ahead(struct device *device, int64_t knot) {
+    if (device->steer_part < SYNC_PARTS)
+        return;
+    device->ahead = device->ahead == 0 ? TRACK_COUNT - 1 : device->ahead - 1;
+    track_span(&device->tracks[device->ahead], knot + 1);
+}
+
+// The clock, each period or, where those are short, a part of it in each, and anew each DEVICE_STEER_US.
+static void steer(struct device *device, struct headway_clock *clock) {
+    const struct sync_settings *settings = &device->settings.sync;
+    struct sync *sync = &device->sync;
+    NEAR(settings);
+    NEAR(sync);
+    if (device->steer_every <= SYNC_PARTS || device->state == DEVICE_UNSYNCED) {
+        device->steer_part = SYNC_PARTS; // all of them
+        if (sync_steer(sync, settings, clock, device->state == DEVICE_UNSYNCED)) {
+            history_flush(&device->history);
+            neighbours_flush(device);
+        }
+        return;
+    }
+    device->steer_part = device->steer_part + 1 < device->steer_every ? device->steer_part + 1 : 0;
+    if (device->steer_part == 0)
+        sync_carry(sync, settings, clock);
+    else if (device->steer_part == 1)
+        sync_lead(sync, settings, clock);
+    else if (device->steer_part == 2)
+        sync_tell(sync, settings);
 }
 
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
                        uint32_t late_us) {
-    clock_advance(&device->clock, count_us);
-    if (sync_steer(&device->sync, &device->settings.sync, &device->clock,
-                   device->state == DEVICE_UNSYNCED)) {
-        history_flush(&device->history);
-        neighbours_flush(device);
-    }
+    struct headway_clock *clock = &device->clock;
+    NEAR(clock);
+    clock_advance(clock, count_us);
+    steer(device, clock);
     int64_t time_us = device->clock.system_us;
     struct instant now = instant_at(time_us, device->settings.knot_shift);
     measure(device, board, time_us);
@@ -202,6 +243,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     follow(device, board, now.knot, count_us);
     heed_guard(device, count_us);
     drive(device, board, &now, count_us);
+    look_ahead(device, now.knot);
     if (device->signals.used || device->signals.on != 0)
         run_signals(device, board, &now);
     admit_advance(device, count_us);

@@ -31,13 +31,16 @@
 #define DEVICE_DITHER_EVERY 4      // one status in so many leaves a little later
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
-#define DEVICE_REST_PQ (1 << 10)   // at rest: measured speed below a count per servo period
+#define DEVICE_STEER_US 1000 // from one steering of the clock to the next, if periods are shorter
+#define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
     enum device_state state;
     uint32_t next_servo_us; // local count of the next servo period
     uint16_t sample_wait;   // servo periods until the next sample
+    uint16_t steer_every;   // servo periods from one steering of the clock to the next ...
+    uint16_t steer_part;    // ... and of these the one that runs: the first have parts of it
     int32_t encoder_count;  // as the board has it
     int32_t offset_count;   // what it lacks to the axis' position
     int32_t position_pq;    // measured
@@ -50,6 +53,7 @@ struct device {
     uint32_t stop_count_us; // count at the fault or emergency stop
     uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
     bool faults_unsaved;
+    uint8_t ahead;            // the track whose next span was made last
     int64_t status_knot;      // knot of the last status
     int64_t accepted_knot;    // knot in which the last plan was accepted
     int64_t start_knot;       // of the first plan

@@ -1,5 +1,6 @@
 #include "drive.h"
 #include "happen.h"
+#include "near.h"
 #include "store.h" // the fault log
 #include <string.h>
 
@@ -13,24 +14,32 @@ enum source {
     SOURCE_TRACKS, // what the plans wrote
 };
 
-static struct scale gain(const struct track *track, const struct instant *at, struct scale fixed) {
+// Inlined where it is called: a call would cost as much as the polynomial.
+static inline __attribute__((always_inline)) int32_t value(struct track *track,
+                                                           const struct instant *at) {
+    return span_value(track_span(track, at->knot), at->phase);
+}
+
+static inline __attribute__((always_inline)) struct scale
+gain(struct track *track, const struct instant *at, struct scale fixed) {
     if (!track->written)
         return fixed;
-    int32_t mantissa = track_value(track, at) >> 8; // points are mantissa Q8
+    int32_t mantissa = value(track, at) >> 8; // points are mantissa Q8
     fixed.mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
     return fixed;
 }
 
-static void from_tracks(const struct device *device, const struct instant *now,
+static void from_tracks(struct device *device, const struct instant *now,
                         struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
-    const struct track *tracks = device->tracks;
+    struct track *tracks = device->tracks;
     // The output holds for a whole period, so feed-forward is taken at the period's middle.
     struct instant middle = instant_after(now, settings->servo_period_us / 2, settings->knot_shift);
-    setpoint->position_pq = track_value(&tracks[TRACK_POSITION], now);
-    setpoint->velocity_pq = track_rate(&tracks[TRACK_POSITION], &middle);
-    setpoint->torque_tq = track_value(&tracks[TRACK_TORQUE], &middle);
+    setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
+    setpoint->velocity_pq =
+        span_rate(track_span(&tracks[TRACK_POSITION], middle.knot), middle.phase);
+    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &middle);
     setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
     setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
     setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
@@ -202,15 +211,18 @@ void drive(struct device *device, struct board *board, const struct instant *now
     set_brake(device, brake_wanted(device, source));
     if (device->power && source != SOURCE_NONE) {
         struct setpoint setpoint;
+        const struct servo_settings *settings = &device->settings.servo;
+        struct servo *servo = &device->servo;
+        NEAR(settings);
+        NEAR(servo);
         find_setpoint(device, board, now, source, &setpoint);
-        int32_t duty =
-            servo_step(&device->settings.servo, &device->servo, &setpoint, device->position_pq);
+        int32_t duty = servo_step(settings, servo, &setpoint, device->position_pq);
         // Not as a whole: between its fields a struct has bytes that nobody has set, and a device's
         // state is the same to the last byte after the same history.
         device->setpoint.position_pq = setpoint.position_pq;
         device->setpoint.torque_tq = setpoint.torque_tq;
         board_set_duty(board, duty);
-        note_torque(&device->status, &device->servo);
+        note_torque(&device->status, servo);
     } else {
         board_set_duty(board, 0);
     }

@@ -18,6 +18,8 @@ static inline int32_t fixed_clamp(int32_t value, int32_t limit) {
 }
 
 static inline int32_t fixed_clamp64(int64_t value, int32_t limit) {
+    if (value == (int32_t)value) // two words compared are many instructions
+        return fixed_clamp((int32_t)value, limit);
     return value > limit ? limit : value < -limit ? -limit : (int32_t)value;
 }
 
@@ -63,6 +65,19 @@ static inline int32_t fixed_scale(int32_t a, struct scale scale) {
         return INT32_MAX;
     if (whole < -limit)
         return -INT32_MAX;
+    return whole * (1 << (16 - scale.shift)) + (int32_t)((low & 0xffffu) >> scale.shift);
+}
+
+// The same within +-2^bits, 16 <= bits <= 30, which saves the check of the ends.
+static inline int32_t fixed_scale_within(int32_t a, struct scale scale, int32_t bits) {
+    int32_t high = (a >> 16) * (int32_t)scale.mantissa;
+    uint32_t low = ((uint32_t)a & 0xffffu) * scale.mantissa;
+    int32_t whole = high + (int32_t)(low >> 16);
+    if (scale.shift >= 16)
+        return fixed_clamp(whole >> (scale.shift - 16), 1 << bits);
+    int32_t spare = 31 - bits + 16 - scale.shift; // bits that are signs
+    if ((int32_t)((uint32_t)whole << spare) >> spare != whole)
+        return whole < 0 ? -(1 << bits) : 1 << bits;
     return whole * (1 << (16 - scale.shift)) + (int32_t)((low & 0xffffu) >> scale.shift);
 }
 

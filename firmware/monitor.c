@@ -93,7 +93,8 @@ static __attribute__((noinline)) void warm(const struct monitor_settings *settin
 // winding's temperature for minutes.
 static void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
                        int32_t torque_tq, struct breach *worst) {
-    int32_t load_q8 = fixed_clamp(fixed_scale(magnitude(torque_tq), settings->load_q8), 1 << 15);
+    int32_t load_q8 =
+        fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
     monitor->overload += loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8;
     if (monitor->overload < 0)

@@ -40,7 +40,7 @@ static void ask(struct device *device, struct board *board) {
     }
 }
 
-// The interval is the last servo period's, and the clock has gone on since, and since the request
+// The interval is that of the last steering, and the clock has gone on since, and since the request
 // arrived, by another rate than the reference. A reference's own error is none.
 static void widen(struct peer_response *response, int64_t elapsed_us) {
     int32_t blur_ns = 1 + (int32_t)(fixed_clamp64(elapsed_us, BLUR_MAX_US) * BLUR_PPM / 1000);
@@ -66,7 +66,8 @@ static void answer(struct device *device, struct board *board, int32_t port) {
         .lineage = sync->lineage,
         .settled = sync->settled,
     };
-    uint32_t asked_us = count_us - demand->arrived_us, ran_us = count_us - device->clock.count_us;
+    uint32_t asked_us = count_us - demand->arrived_us;
+    uint32_t ran_us = (uint32_t)(clock_ticks(&device->clock, count_us) - sync->told_us);
     if (!sync_is_reference(sync))
         widen(&response, asked_us > ran_us ? asked_us : ran_us);
     uint8_t frame[PEER_RESPONSE_BYTES];

@@ -1,7 +1,9 @@
 #include "servo.h"
 
-// A sum of a few saturated terms, each clamped so that the sum cannot overflow.
-static int32_t bounded(int32_t torque_tq) { return fixed_clamp(torque_tq, 1 << 27); }
+#define TERM_BITS 27 // each of a few terms is within it, so that their sum cannot overflow
+#define STEP_BITS 28
+#define VOLTAGE_BITS 20
+#define DUTY_BITS 17 // beyond all that a duty can be
 
 // Integration stops while the output is saturated in the error's direction (conditional
 // integration: Astrom and Hagglund, Advanced PID Control, 2006, section 3.5).
@@ -12,9 +14,12 @@ static void integrate(struct servo *servo, const struct setpoint *setpoint, int3
         return;
     int32_t limit =
         limit_tq >= SERVO_TORQUE_MAX ? INT32_MAX : limit_tq * (1 << SERVO_INTEGRAL_BITS);
-    int32_t step = fixed_clamp(fixed_scale(error_pq, setpoint->ki), 1 << 28);
-    int64_t sum = (int64_t)servo->integral + step;
-    servo->integral = sum > limit ? limit : sum < -limit ? -limit : (int32_t)sum;
+    int32_t step = fixed_scale_within(error_pq, setpoint->ki, STEP_BITS);
+    // Within 2^28 the step does not overflow what the limit leaves: that is at most 2^31 - 1.
+    if (step > 0)
+        servo->integral = servo->integral > limit - step ? limit : servo->integral + step;
+    else
+        servo->integral = servo->integral < -limit - step ? -limit : servo->integral + step;
 }
 
 int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
@@ -36,21 +41,22 @@ int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
     // The voltage is set for the track's speed, so a speed error meets the back-EMF: a torque of its
     // own, which counts against the ceiling.
     servo->difference_sum += difference_pq - servo->difference_sum / SERVO_FILTER_PERIODS;
-    int32_t emf_tq =
-        bounded(fixed_scale(servo->difference_sum / SERVO_FILTER_PERIODS, settings->emf_tq));
-    int32_t feedback_tq = bounded(fixed_scale(error_pq, setpoint->kp)) +
-                          bounded(fixed_scale(difference_pq, setpoint->kd)) +
+    int32_t emf_tq = fixed_scale_within(servo->difference_sum / SERVO_FILTER_PERIODS,
+                                        settings->emf_tq, TERM_BITS);
+    int32_t feedback_tq = fixed_scale_within(error_pq, setpoint->kp, TERM_BITS) +
+                          fixed_scale_within(difference_pq, setpoint->kd, TERM_BITS) +
                           (servo->integral >> SERVO_INTEGRAL_BITS);
     servo->feedback_tq = fixed_clamp(feedback_tq + emf_tq, setpoint->feedback_limit_tq) - emf_tq;
-    servo->unclipped_tq = servo->feedback_tq +
-                          bounded(fixed_scale(setpoint->velocity_pq, settings->velocity_tq)) +
-                          bounded(setpoint->torque_tq) + emf_tq;
+    servo->unclipped_tq =
+        servo->feedback_tq +
+        fixed_scale_within(setpoint->velocity_pq, settings->velocity_tq, TERM_BITS) +
+        fixed_clamp(setpoint->torque_tq, 1 << TERM_BITS) + emf_tq;
     servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);
 
     int32_t voltage_mV =
-        fixed_clamp(fixed_scale(servo->torque_tq - emf_tq, settings->resistance_mV), 1 << 20) +
-        fixed_clamp(fixed_scale(setpoint->velocity_pq, settings->emf_mV), 1 << 20);
-    int32_t duty = fixed_scale(voltage_mV, settings->supply_duty);
+        fixed_scale_within(servo->torque_tq - emf_tq, settings->resistance_mV, VOLTAGE_BITS) +
+        fixed_scale_within(setpoint->velocity_pq, settings->emf_mV, VOLTAGE_BITS);
+    int32_t duty = fixed_scale_within(voltage_mV, settings->supply_duty, DUTY_BITS);
     servo->saturated =
         servo->torque_tq != servo->unclipped_tq || duty > SERVO_DUTY_MAX || duty < -SERVO_DUTY_MAX;
     return fixed_clamp(duty, SERVO_DUTY_MAX);

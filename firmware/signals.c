@@ -2,6 +2,8 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
+#define ALL_PWM ((1u << BOARD_PWM) - 1)
+
 void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us) {
     signals->used = true;
     readings_seen(&signals->readings, batch->seen);
@@ -10,10 +12,20 @@ void signals_take(struct signals *signals, const struct batch *batch, int64_t no
         struct pieces *track = &signals->tracks[sent->track - SOURCE_OF_PIECES];
         if (pieces_take(track, sent->number, &sent->piece, now_us) != PIECE_TAKEN)
             signals->refused++;
+        if (track->next != 0)
+            signals->begun |= (uint16_t)(1 << (sent->track - SOURCE_OF_PIECES));
     }
 }
 
 static uint32_t bit(uint8_t source) { return source < SOURCE_OF_NODES ? 1u << source : 0; }
+
+// Of a few outputs: bit i, output i has a source.
+static uint8_t driven(const uint8_t *sources, int32_t count) {
+    uint32_t all = 0;
+    for (int32_t i = 0; i < count; i++)
+        all |= (uint32_t)(sources[i] != SOURCE_UNUSED) << i;
+    return (uint8_t)all;
+}
 
 static uint32_t reads(const struct logic *logic) {
     uint32_t all = 0;
@@ -41,6 +53,8 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
     signals->ruled = true;
     signals->logic = *logic;
     signals->reads = reads(logic);
+    signals->digitals = driven(logic->digital, BOARD_DIGITAL);
+    signals->pwms = driven(logic->pwm, BOARD_PWM);
     signals->graph.count = logic->nodes;
     signals->graph.held = 0;
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
@@ -95,11 +109,21 @@ static void follow_track(struct signals *signals, struct board *board, int32_t o
     }
 }
 
+static void set_pwm(struct signals *signals, struct board *board, int32_t output, int32_t duty) {
+    uint8_t bit = (uint8_t)(1 << output);
+    signals->pwm_off = (uint8_t)(duty == 0 ? signals->pwm_off | bit : signals->pwm_off & ~bit);
+    board_set_pwm(board, output, duty);
+}
+
+// What nothing drives is told once that it is off.
 static void drive_outputs(struct signals *signals, struct board *board,
                           const struct headway_clock *clock, int64_t until_us) {
     const struct logic *logic = &signals->logic;
-    for (int32_t i = 0; i < BOARD_DIGITAL; i++) {
+    uint32_t left = signals->digitals | signals->on;
+    for (int32_t i = 0; left != 0; i++, left >>= 1) {
         uint8_t source = logic->digital[i];
+        if (!(left & 1))
+            continue;
         if (source == SOURCE_UNUSED)
             set_digital(signals, board, i, false, clock->count_us);
         else if (source >= SOURCE_OF_PIECES && source < SOURCE_OF_INPUTS)
@@ -108,9 +132,11 @@ static void drive_outputs(struct signals *signals, struct board *board,
         else
             set_digital(signals, board, i, signals->values[source] != 0, clock->count_us);
     }
-    for (int32_t i = 0; i < BOARD_PWM; i++) {
+    left = signals->pwms | (ALL_PWM & ~signals->pwm_off);
+    for (int32_t i = 0; left != 0; i++, left >>= 1) {
         int32_t duty = logic->pwm[i] == SOURCE_UNUSED ? 0 : signals->values[logic->pwm[i]];
-        board_set_pwm(board, i, duty < 0 ? 0 : duty > INT16_MAX ? INT16_MAX : duty);
+        if (left & 1)
+            set_pwm(signals, board, i, duty < 0 ? 0 : duty > INT16_MAX ? INT16_MAX : duty);
     }
 }
 
@@ -132,15 +158,16 @@ static void switch_off(struct signals *signals, struct board *board,
     for (int32_t i = 0; i < BOARD_DIGITAL; i++)
         set_digital(signals, board, i, false, clock->count_us);
     for (int32_t i = 0; i < BOARD_PWM; i++)
-        board_set_pwm(board, i, 0);
+        set_pwm(signals, board, i, 0);
     signals->until_us = -PIECE_TIME_MAX; // later they take the place that they should have
 }
 
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
                   uint16_t period_us, bool live) {
     int64_t time_us = clock->system_us, until_us = time_us + period_us;
-    for (int32_t i = 0; i < REPORT_TRACKS; i++)
-        if (signals->tracks[i].next != 0)
+    uint32_t left = signals->begun;
+    for (int32_t i = 0; left != 0; i++, left >>= 1)
+        if (left & 1)
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
     graph_step(&signals->graph, signals->values);
     if (signals->ruled && live) {
@@ -156,7 +183,8 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
 }
 
 void signals_restart(struct signals *signals) {
-    uint8_t on = signals->on;
+    uint8_t on = signals->on, pwm_off = signals->pwm_off;
     memset(signals, 0, sizeof *signals);
     signals->on = on;
+    signals->pwm_off = pwm_off;
 }

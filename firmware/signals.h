@@ -18,6 +18,9 @@ struct signals {
     uint32_t refused;              // pieces, ever
     int64_t until_us;              // the board knows of changes up to here
     uint8_t on;                    // bit i: digital output i, as the board was told
+    uint8_t pwm_off;               // bit i: the board was told 0 for PWM output i
+    uint8_t digitals, pwms;        // bit i: something drives output i
+    uint16_t begun;                // bit i: there are pieces of track i
     uint8_t met;                   // bit i: the condition of trigger i was true
     uint16_t wait[LOGIC_TRIGGERS]; // periods until its next reading
     struct graph graph;

@@ -2,17 +2,18 @@
 #include "fixed.h" // clamp
 #include <string.h>
 
-#define STAMP_US 1                // stamps are whole microseconds, rounded down
-#define STEER_GAIN 4              // an offset fades with a time constant of 2^14 us ...
-#define MARK_SHIFT 1              // ... and one from a mark, which is rounded, with 2^17
-#define STEER_MAX_Q32 1288490     // and is slewed in at 300 ppm at most
-#define SKEW_SHIFT 22             // what is left of it for 2^22 us is the oscillator's skew ...
-#define SKEW_SHIFT_FIRST 20       // ... at first, for ...
-#define SKEW_FIRST_US 8000000     // ... so long, 2^20 us are enough
-#define STEP_Q16 (8 << 16)        // a clock that may step does so beyond it
-#define OFFSET_MAX_US (1LL << 44) // half a year from the first sample: no clock runs so far
-#define DATE_US 1000000           // a mark is dated so soon, or not
-#define NANOSECOND_Q16 66         // of a microsecond, rounded up
+#define STAMP_US 1                   // stamps are whole microseconds, rounded down
+#define STEER_GAIN 4                 // an offset fades with a time constant of 2^14 us ...
+#define MARK_SHIFT 1                 // ... and one from a mark, which is rounded, with 2^17
+#define STEER_MAX_Q32 1288490        // and is slewed in at 300 ppm at most
+#define NEAR_Q16 (4 * STEER_MAX_Q32) // beyond it either is slewed in as fast as may be
+#define SKEW_SHIFT 22                // what is left of it for 2^22 us is the oscillator's skew ...
+#define SKEW_SHIFT_FIRST 20          // ... at first, for ...
+#define SKEW_FIRST_US 8000000        // ... so long, 2^20 us are enough
+#define STEP_Q16 (8 << 16)           // a clock that may step does so beyond it
+#define OFFSET_MAX_US (1LL << 44)    // half a year from the first sample: no clock runs so far
+#define DATE_US 1000000              // a mark is dated so soon, or not
+#define NANOSECOND_Q16 66            // of a microsecond, rounded up
 
 static struct bounds_limits limits_of(const struct sync_settings *settings) {
     // 2^32 / 10^6 and 2^64 / 10^15, rounded up.
@@ -117,6 +118,14 @@ static bool prove(struct sync *sync, const struct bounds_limits *limits,
     return prove_both(bounds, limits, lower, &upper);
 }
 
+// Whether every source that is heard contradicts what is known, again and again.
+static bool doubts_all(const struct sync *sync) {
+    for (int32_t i = 0; i < SYNC_SOURCES; i++)
+        if (sync->heard >> i & 1 && sync->doubt[i] < SYNC_DOUBT_MAX)
+            return false;
+    return sync->heard != 0;
+}
+
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
                const struct sync_source *source, const struct stamps *stamps, uint32_t arrived_us,
                uint32_t now_count_us, bool may_step) {
@@ -133,11 +142,13 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
     sync->heard |= (uint8_t)(1 << source->number);
     if (!same || !prove(sync, &limits, clock, source, stamps, arrived_us)) {
         *doubt = *doubt > SYNC_DOUBT_MAX ? *doubt : (uint16_t)(*doubt + SYNC_DOUBT_STEP);
+        sync->doubting = doubts_all(sync);
         sync->excluded++;
         sync->outcast++;
         return false;
     }
     *doubt -= *doubt > 0;
+    sync->doubting = doubts_all(sync);
     sync->outcast = 0;
     sync->heard_us = clock_ticks(clock, now_count_us);
     struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);
@@ -187,9 +198,13 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
     return true;
 }
 
+static bool fits_32(int64_t value) { return value == (int32_t)value; }
+
 // Rounded down; `open` beyond a second. Whole microseconds and what is below them apart: no product
 // needs 64 bits.
 static int32_t nanoseconds(int64_t offset_q16, int32_t open) {
+    if (fits_32(offset_q16)) // as nearly always
+        return fixed_mul_q16((int32_t)offset_q16, 1000);
     if (offset_q16 >= 1LL << 36 || offset_q16 <= -(1LL << 36))
         return open;
     uint32_t below_q16 = (uint16_t)offset_q16;
@@ -198,10 +213,10 @@ static int32_t nanoseconds(int64_t offset_q16, int32_t open) {
 
 // What a steering that has lasted says of the oscillator's skew, rounded down.
 static int32_t learnt_q32(int32_t steer_q32, int64_t elapsed_us, bool early) {
-    int64_t product = (uint64_t)elapsed_us <= UINT16_MAX // both ways are exact
-                          ? fixed_mul_u16(steer_q32, (uint16_t)elapsed_us)
-                          : steer_q32 * elapsed_us;
-    return (int32_t)(early ? product >> SKEW_SHIFT_FIRST : product >> SKEW_SHIFT);
+    int32_t shift = early ? SKEW_SHIFT_FIRST : SKEW_SHIFT;
+    if ((uint64_t)elapsed_us <= UINT16_MAX) // both ways are exact
+        return fixed_mul_q16(steer_q32, (uint16_t)elapsed_us) >> (shift - 16);
+    return (int32_t)((steer_q32 * elapsed_us) >> shift);
 }
 
 static bool is_marked(const struct sync *sync, int64_t ticks_us) {
@@ -218,8 +233,9 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
     // Where the set is wide the middle of its skews says little, but the middle of its offsets moves
     // as the oscillator does: an integral finds the skew, within what is possible.
     bool marked = is_marked(sync, clock->ticks_us);
-    int64_t wanted_q32 = marked ? behind_q16 >> MARK_SHIFT : behind_q16 * STEER_GAIN;
-    int32_t steer_q32 = fixed_clamp64(wanted_q32, STEER_MAX_Q32);
+    int32_t near_q16 = fixed_clamp64(behind_q16, NEAR_Q16);
+    int32_t wanted_q32 = marked ? near_q16 >> MARK_SHIFT : near_q16 * STEER_GAIN;
+    int32_t steer_q32 = fixed_clamp(wanted_q32, STEER_MAX_Q32);
     int64_t elapsed_us = clock->ticks_us - sync->steered_us;
     bool early = marked || clock->ticks_us - sync->wide_us < SKEW_FIRST_US;
     if (!sync->settled)
@@ -241,31 +257,25 @@ static int64_t target_q16(const struct sync *sync, int64_t ticks_us) {
     return bounds_nearest_q16(bounds, sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16));
 }
 
-// To the middle of what is proven; returns whether that was a step.
-static bool follow(struct sync *sync, const struct sync_settings *settings,
-                   struct headway_clock *clock, bool may_step) {
+// Where the clock is.
+static void compare(struct sync *sync, const struct headway_clock *clock) {
     const struct bounds *bounds = &sync->bounds;
     int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
-    int64_t behind_q16 = target_q16(sync, clock->ticks_us) - offset_q16;
-    bool steps = may_step && (behind_q16 > STEP_Q16 || behind_q16 < -STEP_Q16);
-    if (steps) {
-        offset_q16 += behind_q16;
-        behind_q16 = 0;
-        clock_set(clock, bounds->base_us, offset_q16);
-    }
-    set_rate(sync, settings, clock, behind_q16);
-    sync->least_error_ns = nanoseconds(offset_q16 - bounds_upper_q16(bounds), -SYNC_ERROR_OPEN);
-    sync->most_error_ns =
-        nanoseconds(offset_q16 - bounds_lower_q16(bounds) + NANOSECOND_Q16, SYNC_ERROR_OPEN);
-    return steps;
+    sync->behind_q16 = target_q16(sync, clock->ticks_us) - offset_q16;
+    sync->above_q16 = offset_q16 - bounds_upper_q16(bounds);
+    sync->below_q16 = offset_q16 - bounds_lower_q16(bounds);
 }
 
-// Whether every source that is heard contradicts what is known, again and again.
-static bool doubts_all(const struct sync *sync) {
-    for (int32_t i = 0; i < SYNC_SOURCES; i++)
-        if (sync->heard >> i & 1 && sync->doubt[i] < SYNC_DOUBT_MAX)
-            return false;
-    return sync->heard != 0;
+// To the middle of what is proven, if it is far away; returns whether it was.
+static bool step(struct sync *sync, struct headway_clock *clock) {
+    int64_t behind_q16 = sync->behind_q16, base_us = sync->bounds.base_us;
+    if (behind_q16 <= STEP_Q16 && behind_q16 >= -STEP_Q16)
+        return false;
+    clock_set(clock, base_us, clock_offset_q16(clock, base_us) + behind_q16);
+    sync->behind_q16 = 0;
+    sync->above_q16 += behind_q16;
+    sync->below_q16 += behind_q16;
+    return true;
 }
 
 static int32_t worst_ns(const struct sync *sync) {
@@ -273,30 +283,54 @@ static int32_t worst_ns(const struct sync *sync) {
     return least > most ? least : most;
 }
 
-bool sync_steer(struct sync *sync, const struct sync_settings *settings,
-                struct headway_clock *clock, bool may_step) {
-    struct bounds_limits limits = limits_of(settings);
-    if (!sync->begun && settings->among_boards && may_step) // the own time, until there is better
-        begin(sync, settings, clock, sync->id, clock->system_us - clock->ticks_us);
-    bool steps = sync->stepped;
-    sync->stepped = false;
+void sync_tell(struct sync *sync, const struct sync_settings *settings) {
     if (sync_is_reference(sync)) {
-        sync->heard_us = clock->ticks_us;
         sync->least_error_ns = sync->most_error_ns = 0;
-        clock->rate_q32 = 0;
-    } else {
-        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
-        if (bounds_closed(&sync->bounds))
-            steps |= follow(sync, settings, clock, may_step);
+    } else if (bounds_closed(&sync->bounds)) {
+        sync->least_error_ns = nanoseconds(sync->above_q16, -SYNC_ERROR_OPEN);
+        sync->most_error_ns = nanoseconds(sync->below_q16 + NANOSECOND_Q16, SYNC_ERROR_OPEN);
     }
-    sync->doubtful |= doubts_all(sync);
+    sync->doubtful |= sync->doubting;
     if (sync->doubtful) {
         sync->least_error_ns = -SYNC_ERROR_OPEN;
         sync->most_error_ns = SYNC_ERROR_OPEN;
     }
     if (worst_ns(sync) > (int32_t)settings->limit_us * 1000) // one second at most
-        sync->wide_us = clock->ticks_us;
-    sync->settled = clock->ticks_us - sync->wide_us >= SYNC_SETTLE_US;
+        sync->wide_us = sync->told_us;
+    sync->settled = sync->told_us - sync->wide_us >= SYNC_SETTLE_US;
+}
+
+void sync_carry(struct sync *sync, const struct sync_settings *settings,
+                const struct headway_clock *clock) {
+    struct bounds_limits limits = limits_of(settings);
+    sync->told_us = clock->ticks_us;
+    if (sync_is_reference(sync))
+        sync->heard_us = clock->ticks_us;
+    else
+        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
+    if (bounds_closed(&sync->bounds))
+        compare(sync, clock);
+}
+
+void sync_lead(struct sync *sync, const struct sync_settings *settings,
+               struct headway_clock *clock) {
+    if (sync_is_reference(sync))
+        clock->rate_q32 = 0;
+    else if (bounds_closed(&sync->bounds))
+        set_rate(sync, settings, clock, sync->behind_q16);
+}
+
+bool sync_steer(struct sync *sync, const struct sync_settings *settings,
+                struct headway_clock *clock, bool may_step) {
+    if (!sync->begun && settings->among_boards && may_step) // the own time, until there is better
+        begin(sync, settings, clock, sync->id, clock->system_us - clock->ticks_us);
+    bool steps = sync->stepped;
+    sync->stepped = false;
+    sync_carry(sync, settings, clock);
+    if (may_step && !sync_is_reference(sync) && bounds_closed(&sync->bounds))
+        steps |= step(sync, clock);
+    sync_lead(sync, settings, clock);
+    sync_tell(sync, settings);
     return steps;
 }
 

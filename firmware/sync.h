@@ -57,6 +57,7 @@ struct sync {
     bool begun; // there is a base
     bool settled;
     bool doubtful;     // all that is heard contradicts what is known: nothing is, until a restart
+    bool doubting;     // by what has come so far
     bool stepped;      // the first sample set the clock
     int64_t wide_us;   // ticks when the error was last not known to be within the limit
     int64_t heard_us;  // ticks of the last sample that was taken
@@ -72,6 +73,8 @@ struct sync {
     int64_t mark_q16;   // ... and the middle of what all boards know of the offset then
     int64_t steered_us; // ticks
     int32_t skew_q32;   // of the own oscillator, as steering has found it
+    int64_t told_us;    // ticks at which the error was what it says
+    int64_t behind_q16, above_q16, below_q16; // found by a part of steering for those after it
     struct bounds bounds;
     struct average average;
 };
@@ -100,6 +103,16 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
 // or by a first sample.
 bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
+
+// The same in parts, for a device whose periods are short, which has no time for all of it in one: what
+// is known and how far the clock is off, the first as sync_steer is called; then the clock's rate; then
+// what is told of its error. The clock does not step.
+#define SYNC_PARTS 3
+void sync_carry(struct sync *sync, const struct sync_settings *settings,
+                const struct headway_clock *clock);
+void sync_lead(struct sync *sync, const struct sync_settings *settings,
+               struct headway_clock *clock);
+void sync_tell(struct sync *sync, const struct sync_settings *settings);
 
 // Whether the time is its own: nobody is followed.
 bool sync_is_reference(const struct sync *sync);

@@ -7,6 +7,8 @@
 #ifndef HEADWAY_TRACK_H
 #define HEADWAY_TRACK_H
 
+#include "near.h"
+#include "span.h"
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -16,6 +18,7 @@ struct track {
     bool written;
     int64_t end; // knot of the last point
     int32_t points[TRACK_POINTS];
+    struct span spans[2]; // of two knots, an even one and an odd one
 };
 
 // A time on the grid: the knot whose interval it is in, and how far in, in 1/65536 of it.
@@ -42,6 +45,19 @@ static inline struct instant instant_after(const struct instant *at, uint32_t la
 
 int32_t track_point(const struct track *track, int64_t knot);
 void track_write(struct track *track, int64_t first_knot, const int32_t *points, int32_t count);
+
+// Makes the span of a knot, in place of another one's.
+void track_load(struct track *track, int64_t knot);
+
+// The span of a knot: nearly always it has been made before. Two knots a multiple of 2^32 apart would
+// be mistaken for each other: ask for one in between.
+static inline const struct span *track_span(struct track *track, int64_t knot) {
+    struct span *span = &track->spans[(uint32_t)knot & 1];
+    NEAR(span);
+    if ((uint32_t)span->knot != (uint32_t)knot)
+        track_load(track, knot);
+    return span;
+}
 
 // Value, rate [quantum per knot interval] and curve [quantum per its square] at an instant,
 // for points whose differences stay below 2^26. All are rounded down: by less than 6 quanta

@@ -59,8 +59,16 @@ static inline void write_varint(struct writer *w, int64_t value) {
 }
 
 static inline int64_t read_varint(struct reader *r) {
-    uint64_t zigzag = 0;
-    for (int32_t shift = 0; shift < 64; shift += 7) {
+    // Four bytes hold nearly all there are: a small core counts each instruction on 64 bits.
+    uint32_t low = 0;
+    for (int32_t shift = 0; shift < 28; shift += 7) {
+        uint32_t byte = (uint32_t)read_uint(r, 1);
+        low |= (byte & 0x7f) << shift;
+        if (byte < 0x80)
+            return (int32_t)(low >> 1) ^ -(int32_t)(low & 1);
+    }
+    uint64_t zigzag = low;
+    for (int32_t shift = 28; shift < 64; shift += 7) {
         uint64_t byte = read_uint(r, 1);
         zigzag |= (byte & 0x7f) << shift;
         if (byte < 0x80)

@@ -129,7 +129,7 @@ def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
 
 
 class Rig:
-    """A node, a host and a wire of constant delay; true time runs in polls of 250 us."""
+    """A node, a host and a wire of constant delay; true time runs in polls."""
 
     def __init__(
         self,
@@ -138,7 +138,9 @@ class Rig:
         delay_us: int = 1000,
         settings: _core.DeviceSettings | None = None,
         supply_V: float = SUPPLY_V,
+        poll_us: int = POLL_US,
     ) -> None:
+        self.poll_us = poll_us
         self.memory = np.zeros(_board.NODE_NUMBERS)
         self.node = _board.Node(self.memory)
         self.node.supply_V = supply_V
@@ -194,7 +196,7 @@ class Rig:
         self.number = self.epoch = self.asked = 0
 
     def poll(self) -> None:
-        self.now += POLL_US
+        self.now += self.poll_us
         self.node.poll(self.now, self.encoder(self.now))
         if not self.welcomed:
             self.greet()
@@ -220,7 +222,7 @@ class Rig:
             self.node.deliver(self.now + self.delay_us, self.host.seal(_core.FRAME_SYNC, payload))
 
     def run(self, us: int) -> None:
-        for _ in range(us // POLL_US):
+        for _ in range(us // self.poll_us):
             self.poll()
 
     def period(self) -> None:

@@ -1,13 +1,15 @@
 """Cycles of the firmware on a Cortex-M0+: each kernel, the whole servo tick, a plan; and rivals.
 
 The firmware, cross-compiled with -O2, runs in an emulator that counts (scripts/cortex/emulator.py
-says by which table, and what a chip adds). It is the device of arm2's shoulder at work, with all
-tracks and an integral, and lives through the same polls as the same device on this computer: their
-states stay the same to the last byte.
+says by which table, and what a chip adds). It is the device of arm2's shoulder at work, at 10 kHz,
+with all tracks and an integral, and lives through the same polls as the same device on this
+computer: their states stay the same to the last byte. --profile: where a tick's cycles go, by
+function and by line.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -18,19 +20,24 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "cortex"))
 from _report import arguments, finish, goal, table
 from emulator import RAM, SIZE, Emulator, Tally
-from image import compile_firmware, soft_float
+from image import WHOLE, compile_firmware, soft_float
+from profile_lines import profile
 from scene import POLL_US, Scene, is_tick
 from tools import HERE, PREFIX, need
 
 from headway.firmware import _core
 
 BUDGET = 1700  # of a servo tick, as it was meant to be
-HELD = 4700  # and what a change may not exceed
+HELD = 3200  # and what a change may not exceed
+SHORT_US, LONG_US = 100_000, 1_000_000  # of its life
+TICK_LEAST = 1000  # cycles: a poll without a tick has a quarter of it
+PROFILED = 60  # rows
 KERNELS = {  # what a tick calls
-    "track_value": "spline, value",
-    "track_rate": "spline, rate",
+    "track_load": "spline, a knot's polynomial",
     "clock_advance": "clock map",
-    "sync_steer": "clock, steering",
+    "sync_carry": "clock, bounds",
+    "sync_lead": "clock, steering",
+    "sync_tell": "clock, error",
     "servo_step": "PID, feed-forward, duty",
     "monitor_step": "monitors",
     "drive": "setpoint, servo, outputs",
@@ -168,21 +175,37 @@ def rivals(file: Path, device: bytes) -> list[dict[str, Any]]:
 Rows = list[dict[str, Any]]
 
 
+def ticks_of(tallies: list[Tally]) -> list[Tally]:
+    """Polls with a servo tick and nothing else: as one unit no function of it has a name."""
+    busy = [t for t in tallies if t.packets == 0 and not reports(t)]
+    return [t for t in busy if cost(t) > TICK_LEAST]
+
+
+def whole(folder: Path, us: int) -> tuple[Emulator, Path, list[Tally]]:
+    """The firmware built as one unit, and the ticks of its life."""
+    image = compile_firmware(folder / "whole.elf", options=WHOLE)
+    core = Emulator(image, ("device_poll", *REPORTS))
+    return core, image, ticks_of(life(core, us))
+
+
 def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
     """Cycles, floods of junk, rivals and goals, of so long a life."""
     with tempfile.TemporaryDirectory() as folder:
+        ticks = [cost(t) for t in whole(Path(folder), us)[2]]
         image = compile_firmware(Path(folder) / "firmware.elf")
         core = Emulator(image, ("device_poll", "inbox_take", *REPORTS, *KERNELS, *PARTS))
         tallies = life(core, us)
-        ticks = [t for t in tallies if is_tick(t)]
+        apart = [t for t in tallies if is_tick(t)]
         idle = [t for t in tallies if "servo_step" not in t.calls and t.packets == 0]
         plans = [t for t in tallies if "gate_check" in t.calls and "servo_step" not in t.calls]
         cycles = [
-            row("servo tick, whole", [cost(t) for t in ticks]),
-            row(
-                "servo tick but for steering", [cost(t) - sum(t.calls["sync_steer"]) for t in ticks]
+            row("servo tick, whole", ticks),
+            row("the same, compiled file by file", [cost(t) for t in apart]),
+            *(
+                row(f"  {label}", called(apart, name))
+                for name, label in KERNELS.items()
+                if called(apart, name)
             ),
-            *(row(f"  {label}", called(ticks, name)) for name, label in KERNELS.items()),
             row("poll between ticks", [cost(t) for t in idle]),
             row("PLAN frame, 55 points on 5 tracks", [cost(t) for t in plans]),
             *(row(f"  {label}", called(plans, name)) for name, label in PARTS.items()),
@@ -195,7 +218,7 @@ def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
         others = compile_firmware(Path(folder) / "rivals.elf", [HERE / "rivals.c"])
         compared = rivals(others, device)
         worst = cycles[0]["max"]
-        divided = sum(t.own.get(name, 0) for t in ticks for name in DIVISIONS)
+        divided = sum(t.own.get(name, 0) for t in apart for name in DIVISIONS)
         goals = [
             goal("servo tick, maximum [cycles]", worst, "<=", BUDGET),
             goal("servo tick, maximum, no more than before [cycles]", worst, "<=", HELD),
@@ -211,10 +234,28 @@ def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
     return cycles, floods, compared, goals
 
 
+def print_profile(us: int) -> None:
+    """Mean and worst tick, by function and by line."""
+    with tempfile.TemporaryDirectory() as folder:
+        core, image, ticks = whole(Path(folder), us)
+        for what, chosen in (("mean", ticks), ("worst", [max(ticks, key=cost)])):
+            for by in ("function", "line"):
+                rows = profile(core, image, chosen, by)
+                table(f"Servo tick, {what}, cycles by {by}", rows[:PROFILED])
+
+
+def add_profile(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--profile", action="store_true", help="where a tick's cycles go")
+
+
 def main() -> None:
     need(f"{PREFIX}gcc")
-    options = arguments(__doc__ or "")
-    cycles, floods, compared, goals = measure(4_000_000 if options.long else 800_000)
+    options = arguments(__doc__ or "", add_profile)
+    us = LONG_US if options.long else SHORT_US
+    if options.profile:
+        print_profile(us)
+        return
+    cycles, floods, compared, goals = measure(us)
     table("Cortex-M0+, cycles", cycles)
     table(f"Junk, cycles a packet; {JUNK_HZ} a second: share of {CLOCK_HZ / 1e6:.0f} MHz", floods)
     table("The same work in other numbers, cycles", compared)

@@ -61,6 +61,8 @@ class Tally:
     packets: int = 0  # that arrived
     calls: dict[str, list[int]] = field(default_factory=dict)  # cycles of each call, all in
     own: dict[str, int] = field(default_factory=dict)  # cycles in each function itself
+    # Times that each block ran, by address and size.
+    blocks: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 class Image:
@@ -70,8 +72,9 @@ class Image:
         self.symbols: dict[str, int] = {}
         functions: list[tuple[int, str]] = []
         for line in self._said(file, "nm"):
-            address, kind, name = line.split()[-3:]
             if len(line.split()) == 3:
+                address, kind, name = line.split()
+                name = name.partition(".")[0]  # of a copy with some arguments known
                 self.symbols[name] = int(address, 16)
                 if kind in "tT":
                     functions.append((int(address, 16) & ~1, name))
@@ -117,18 +120,25 @@ class Emulator:
         )  # where a conditional branch at the end of the last block leads if not taken
         self.core.hook_add(unicorn.UC_HOOK_BLOCK, self._block)
 
-    def _price(self, address: int, size: int) -> tuple[int, int, str]:
-        """Cycles of a block, where it leads if its last branch is not taken (-1: it has none), and
-        whose it is."""
+    def price(self, address: int, size: int) -> list[tuple[int, int]]:
+        """Address and cycles of a block's instructions; of a conditional branch, not taken."""
         code = bytes(self.core.mem_read(address, size))
         words = [int.from_bytes(code[i : i + 2], "little") for i in range(0, size, 2)]
-        cycles, at, follows = 0, 0, -1
+        prices, at = [], 0
         while at < len(words):
             wide = is_wide(words[at])
-            cycles += 3 if wide else cost(words[at])
-            follows = -1 if wide or not is_conditional(words[at]) else address + size
+            prices.append((address + 2 * at, 3 if wide else cost(words[at])))
             at += 1 + wide
-        return cycles, follows, self.image.function(address)
+        return prices
+
+    def _priced(self, address: int, size: int) -> tuple[int, int, str]:
+        """Cycles of a block, where it leads if its last branch is not taken (-1: it has none), and
+        whose it is."""
+        prices = self.price(address, size)
+        last = prices[-1][0]
+        word = int.from_bytes(self.core.mem_read(last, 2), "little")
+        follows = address + size if is_conditional(word) else -1
+        return sum(cycles for _, cycles in prices), follows, self.image.function(address)
 
     def _block(self, core: Any, address: int, size: int, _: Any) -> None:
         tally = self.tally
@@ -141,10 +151,11 @@ class Emulator:
             back = core.reg_read(arm.UC_ARM_REG_LR) & ~1
             self._calls.append(Call(name, back, tally.cycles))
         if (address, size) not in self._costs:
-            self._costs[address, size] = self._price(address, size)
+            self._costs[address, size] = self._priced(address, size)
         cycles, self._next, own = self._costs[address, size]
         tally.cycles += cycles
         tally.own[own] = tally.own.get(own, 0) + cycles
+        tally.blocks[address, size] = tally.blocks.get((address, size), 0) + 1
 
     def call(self, name: str, *arguments: int) -> int:
         """Calls a function of up to four numbers; returns its result, unsigned."""

@@ -1,6 +1,6 @@
 """A device at work, for the emulator: an axis of arm2 that follows plans on five tracks.
 
-Each knot brings a plan of a whole horizon, each fourth of a knot a poll, each period a servo tick,
+Each knot brings a plan of a whole horizon, each other poll is a servo tick,
 with an encoder that follows the setpoint but for some counts of noise.
 """
 
@@ -22,7 +22,7 @@ from headway.sim import _board
 sys.path.insert(0, str(ROOT / "tests"))
 import rig as bench
 
-POLL_US = bench.POLL_US
+PERIOD_US, POLL_US = 100, 50  # the fastest there is, and a poll between two periods
 POSITION, TORQUE, KP, KI, KD = range(5)
 COUNT_OFFSET = 12_345
 HORIZON = 55  # points of a plan that have not begun, as arm2's have
@@ -50,7 +50,9 @@ def settings(servo_period_us: int) -> _core.DeviceSettings:
 class Scene:
     """The rig with its host; `polls` runs it, `twin` puts the emulator beside it."""
 
-    def __init__(self, seed: int = 0, servo_period_us: int = bench.PERIOD_US) -> None:
+    def __init__(
+        self, seed: int = 0, servo_period_us: int = PERIOD_US, poll_us: int = POLL_US
+    ) -> None:
         self.settings = settings(servo_period_us)
         monitor = self.settings.monitor
         supply_V = (monitor.supply_min_mV + monitor.supply_max_mV) / 2000
@@ -58,6 +60,7 @@ class Scene:
             settings=self.settings,
             count_offset=COUNT_OFFSET,
             supply_V=supply_V,
+            poll_us=poll_us,
         )
         self.rig.encoder = self._encoder
         self._rng = np.random.default_rng(seed)
@@ -119,7 +122,7 @@ class Scene:
 
     def run(self, us: int) -> None:
         """Polls, with a plan at the first poll of each knot."""
-        for _ in range(us // bench.POLL_US):
+        for _ in range(us // self.rig.poll_us):
             knot = self.rig.knot
             self.rig.poll()
             if self.rig.knot != knot:

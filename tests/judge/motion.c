@@ -41,11 +41,15 @@ static void replay_track_point(void) {
 }
 
 static void replay_track_at(void) {
-    const struct track *track = &tracks[given_sink()];
+    struct track *track = &tracks[given_sink()];
     struct instant at = instant_at(given("time_us"), (int32_t)given("knot_shift"));
     say_number("value", track_value(track, &at));
     say_number("rate", track_rate(track, &at));
     say_number("curve", track_curve(track, &at));
+    const struct span *span = track_span(track, at.knot); // kept since the last one, maybe
+    if (span_value(span, at.phase) != track_value(track, &at) ||
+        span_rate(span, at.phase) != track_rate(track, &at))
+        say("another by the span that is kept");
 }
 
 static void replay_limits_valid(void) {

@@ -54,6 +54,7 @@ static void replay_neighbours_period(void) {
     device.sync.settled = given("settled") != 0;
     device.sync.least_error_ns = (int32_t)given("least_error_ns");
     device.sync.most_error_ns = (int32_t)given("most_error_ns");
+    device.sync.told_us = device.clock.ticks_us;
 }
 
 static void begin_poll(void) {
