@@ -25,7 +25,8 @@ HELD = 1e12  # Nm/rad or N/m
 def drive_rules(subject: Subject) -> Iterator[Rule]:
     """All of them."""
     yield _motor(subject)
-    yield _observable(subject)
+    if subject.config.machine.bare:
+        yield _observable(subject)
     yield _integers(subject)
     yield _counts(subject)
     yield _resolution(subject)
