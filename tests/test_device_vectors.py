@@ -3,10 +3,11 @@
 By frames that are opened and decoded here, and by outputs. Nothing calls the firmware.
 """
 
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 from test_vectors import (
@@ -291,3 +292,40 @@ def test_every_reason_and_refusal_is_there(world: World) -> None:
     assert not reasons
     refusals = {n for n in range(1, 14) if not world.seen[f"refusal {n}"]}
     assert refusals <= {3, 4, 5, 6, 12}, refusals  # which gates.txt has
+
+
+def _flipped(answer: str) -> str:
+    head, _, tail = answer.rpartition(" hash=")
+    return f"{head[:-1]}{'0' if head[-1] != '0' else '1'} hash={tail}"
+
+
+PLANTED: dict[str, tuple[Callable[[str], bool], Callable[[str], str]]] = {
+    "a duty without power": (
+        lambda a: a.startswith("power=0*4 brake=1*4 duty_q15=0*4"),
+        lambda a: a.replace("duty_q15=0*4", "duty_q15=0*3,5"),
+    ),
+    "off without a brake": (
+        lambda a: a.startswith("power=1,0*3 brake=1*4"),
+        lambda a: a.replace("brake=1*4", "brake=1,0,1*2"),
+    ),
+    "off before the brake has engaged": (
+        lambda a: a.startswith("power=1*4 brake=0*4"),
+        lambda a: a.replace("power=1*4 brake=0*4", "power=1*3,0 brake=0*3,1"),
+    ),
+    "a frame that is not authentic": (lambda a: " packet=" in a, _flipped),
+    "power for ever": (
+        lambda a: a.startswith("power="),
+        lambda a: re.sub(r"\b0\b", "1", a, count=1),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_what_is_planted_in_an_answer_is_noticed(name: str) -> None:
+    fits, change = PLANTED[name]
+    world, done = World(), False
+    with pytest.raises(AssertionError):
+        for v in lines():
+            plants = fits(v.answer) and (name == "power for ever" or not done)
+            world.take(replace(v, answer=change(v.answer)) if plants else v)
+            done |= plants

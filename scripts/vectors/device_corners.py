@@ -442,7 +442,10 @@ def watched(b: Bench) -> None:
             b.scene(f"ARM of an axis that turns by {sign} count a period, after {polls}", IDLE)
             b.set(turn_q16=64 * sign)
             b.run(polls, 1024)
-            if b.order("ARM") == "DONE":
+            b.give(b.seal(COMMAND, b.command("ARM")))
+            b.run(1, 1024)
+            b.hear()
+            if b.status.command_result == 0:
                 still = polls
             else:
                 turning = polls
@@ -510,13 +513,14 @@ def watched(b: Bench) -> None:
     b.orders("CLEAR", "DONE", "UNSYNCED")
     assert b.status.homed
     b.scene("past its limit in the ramp of an emergency: the brake at once", IDLE)
-    b.orders("ZERO", "DONE", "IDLE", 16_950)
+    b.orders("ZERO", "DONE", "IDLE", 16_000)
     _let_go(b)
-    b.set(speed_q16=0, turn_q16=4 * 65536 // PERIOD_US)
-    b.run(8)
+    b.set(speed_q16=0, turn_q16=60 * 65536 // PERIOD_US)
+    b.run(6)
     b.set(line_open=1)
-    for _ in range(5):
+    for _ in range(6):
         b.run(4)
+    assert b.braked and not b.powered
 
 
 SCENES = (configured, watched, between, forgotten, torques, counted, gains, tasks, brakes)

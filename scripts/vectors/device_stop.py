@@ -382,7 +382,7 @@ def signals(b: Bench) -> None:
     for source in (0, 1, 2, 3, 4, *range(16, 25)):
         b.scene(f"logic that reads source {source} alone", MOVING)
         b.set(inputs=0b1111)
-        b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [], [], [], [(0, source, 0, 2)])))
+        b.give(b.seal(_core.FRAME_LOGIC, _logic(1, [], [], [], [(0, source, source, 2)])))
         b.run(7, tell=1)
     for sinks in ((2, 3, 4), (4,)):
         b.scene(f"gain tracks {sinks} as values", ARMED)
