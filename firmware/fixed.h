@@ -53,6 +53,12 @@ static inline uint64_t fixed_mul_u32(uint32_t a, uint32_t b) {
            a0 * b0;
 }
 
+static inline int64_t fixed_mul_i32(int32_t a, uint32_t b) {
+    uint64_t beyond =
+        a < 0 ? (uint64_t)b << 32 : 0; // by which a is too large as a number without sign
+    return (int64_t)(fixed_mul_u32((uint32_t)a, b) - beyond);
+}
+
 // a * scale, rounded down. Saturates to +-INT32_MAX, from 2^(16 - shift) before the ends on.
 static inline int32_t fixed_scale(int32_t a, struct scale scale) {
     int32_t high = (a >> 16) * (int32_t)scale.mantissa;
