@@ -20,7 +20,7 @@ static inline int32_t fixed_clamp(int32_t value, int32_t limit) {
 static inline int32_t fixed_clamp64(int64_t value, int32_t limit) {
     if (value == (int32_t)value) // two words compared are many instructions
         return fixed_clamp((int32_t)value, limit);
-    return value > limit ? limit : value < -limit ? -limit : (int32_t)value;
+    return value < 0 ? -limit : limit;
 }
 
 // a - b modulo 2^32: also between positions of an axis that turns for ever.
