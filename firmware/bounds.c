@@ -14,19 +14,21 @@ void bounds_clear(struct bounds *bounds, const struct bounds_limits *limits, int
     bounds->lower.value_q16 = bounds->upper.value_q16 = NOTHING_Q16;
 }
 
-// wander a^2 / 2, rounded up: ages in 1024 us keep the product within 64 bits.
+// wander a^2 / 2, rounded up, for ages of a minute at most: in 1024 us their square has 32 bits.
 static int64_t slack_q16(const struct bounds_limits *limits, int64_t age_us) {
-    int64_t age = (age_us + 1023) >> 10;
-    return ((age * age * limits->wander_q64) >> 29) + 1;
+    uint32_t age = (uint32_t)(age_us + 1023) >> 10;
+    return (int64_t)(fixed_mul_u32(age * age, (uint32_t)limits->wander_q64) >> 29) + 1;
 }
 
-// What a line says now if the skew is `skew_q32`, rounded down. One that is too old says nothing.
+// What a line says now if the skew is `skew_q32`, within the drift; rounded down. One that is too old
+// says nothing.
 static int64_t line_q16(const struct bounds_limits *limits, const struct bounds_line *line,
                         int64_t ticks_us, int64_t skew_q32) {
     int64_t age_us = ticks_us - line->ticks_us;
     if (age_us > BOUNDS_AGE_MAX)
         return NOTHING_Q16;
-    return line->value_q16 + ((skew_q32 * age_us) >> 16) - slack_q16(limits, age_us);
+    return line->value_q16 + (fixed_mul_i32((int32_t)skew_q32, (uint32_t)age_us) >> 16) -
+           slack_q16(limits, age_us);
 }
 
 // The highest line at a skew.

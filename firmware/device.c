@@ -180,7 +180,7 @@ static void run_signals(struct device *device, struct board *board, const struct
     NEAR(values);
     values[TRACK_POSITION] = device->setpoint.position_pq;
     values[TRACK_TORQUE] = device->setpoint.torque_tq;
-    for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
+    for (int32_t sink = TRACK_KP; sink <= TRACK_KD && reads >> sink != 0; sink++)
         if (reads >> sink & 1)
             values[sink] =
                 device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;

@@ -20,7 +20,7 @@ static inline int32_t fixed_clamp(int32_t value, int32_t limit) {
 static inline int32_t fixed_clamp64(int64_t value, int32_t limit) {
     if (value == (int32_t)value) // two words compared are many instructions
         return fixed_clamp((int32_t)value, limit);
-    return value > limit ? limit : value < -limit ? -limit : (int32_t)value;
+    return value < 0 ? -limit : limit;
 }
 
 // a - b modulo 2^32: also between positions of an axis that turns for ever.
@@ -51,6 +51,12 @@ static inline uint64_t fixed_mul_u32(uint32_t a, uint32_t b) {
     uint32_t a0 = a & 0xffffu, a1 = a >> 16, b0 = b & 0xffffu, b1 = b >> 16;
     return ((uint64_t)(a1 * b1) << 32) + ((uint64_t)(a0 * b1) << 16) + ((uint64_t)(a1 * b0) << 16) +
            a0 * b0;
+}
+
+static inline int64_t fixed_mul_i32(int32_t a, uint32_t b) {
+    uint64_t beyond =
+        a < 0 ? (uint64_t)b << 32 : 0; // by which a is too large as a number without sign
+    return (int64_t)(fixed_mul_u32((uint32_t)a, b) - beyond);
 }
 
 // a * scale, rounded down. Saturates to +-INT32_MAX, from 2^(16 - shift) before the ends on.

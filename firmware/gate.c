@@ -59,9 +59,12 @@ enum gate_result gate_check_track(const struct gate_limits *limits, const struct
     for (int32_t i = 1; i < 4; i++)
         span[i] = stored->written ? track_point(stored, first_knot - 4 + i) : points[0];
     int32_t difference = fixed_difference(span[3], span[2]); // of points that passed the gate
+    // How many of the points are live or past: all, if even a whole ring would be past.
+    int32_t live = first_knot + TRACK_POINTS <= knot
+                       ? TRACK_POINTS
+                       : (int32_t)(knot + GATE_LIVE_KNOTS - first_knot);
     for (int32_t i = 0; i < count; i++) {
-        bool live = first_knot + i < knot + GATE_LIVE_KNOTS;
-        if (live && !(stored->written && points[i] == track_point(stored, first_knot + i)))
+        if (i < live && !(stored->written && points[i] == track_point(stored, first_knot + i)))
             return GATE_LATE;
         if (!limits->continuous && (points[i] > limits->point_max || points[i] < limits->point_min))
             return GATE_RANGE;

@@ -15,11 +15,7 @@ static void integrate(struct servo *servo, const struct setpoint *setpoint, int3
     int32_t limit =
         limit_tq >= SERVO_TORQUE_MAX ? INT32_MAX : limit_tq * (1 << SERVO_INTEGRAL_BITS);
     int32_t step = fixed_scale_within(error_pq, setpoint->ki, STEP_BITS);
-    // Within 2^28 the step does not overflow what the limit leaves: that is at most 2^31 - 1.
-    if (step > 0)
-        servo->integral = servo->integral > limit - step ? limit : servo->integral + step;
-    else
-        servo->integral = servo->integral < -limit - step ? -limit : servo->integral + step;
+    servo->integral = fixed_clamp64((int64_t)servo->integral + step, limit);
 }
 
 int32_t servo_position_pq(int32_t encoder_count, bool continuous) {

@@ -118,12 +118,12 @@ static bool prove(struct sync *sync, const struct bounds_limits *limits,
     return prove_both(bounds, limits, lower, &upper);
 }
 
-// Whether every source that is heard contradicts what is known, again and again.
+// Whether every source that is heard, and there is one, contradicts what is known, again and again.
 static bool doubts_all(const struct sync *sync) {
     for (int32_t i = 0; i < SYNC_SOURCES; i++)
         if (sync->heard >> i & 1 && sync->doubt[i] < SYNC_DOUBT_MAX)
             return false;
-    return sync->heard != 0;
+    return true;
 }
 
 bool sync_take(struct sync *sync, const struct sync_settings *settings, struct headway_clock *clock,
@@ -140,15 +140,17 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
     uint16_t *doubt = &sync->doubt[source->number];
     sync->heard |= (uint8_t)(1 << source->number);
-    if (!same || !prove(sync, &limits, clock, source, stamps, arrived_us)) {
-        *doubt = *doubt > SYNC_DOUBT_MAX ? *doubt : (uint16_t)(*doubt + SYNC_DOUBT_STEP);
-        sync->doubting = doubts_all(sync);
+    bool good = same && prove(sync, &limits, clock, source, stamps, arrived_us);
+    if (good)
+        *doubt -= *doubt > 0;
+    else if (*doubt <= SYNC_DOUBT_MAX)
+        *doubt += SYNC_DOUBT_STEP;
+    sync->doubting = doubts_all(sync);
+    if (!good) {
         sync->excluded++;
         sync->outcast++;
         return false;
     }
-    *doubt -= *doubt > 0;
-    sync->doubting = doubts_all(sync);
     sync->outcast = 0;
     sync->heard_us = clock_ticks(clock, now_count_us);
     struct ahead ahead = ahead_of(clock, source, stamps, arrived_us);

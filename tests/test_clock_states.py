@@ -1,7 +1,7 @@
 """What a device does about its clock: when it moves, stops, starts anew, and whom it believes."""
 
 import pytest
-from rig import MAKE, POLL_US, POSITION, TORQUE, Rig, State, device_settings
+from rig import MAKE, PERIOD_US, POLL_US, POSITION, TORQUE, Rig, State, device_settings
 
 S = State
 DAY_US = 86_400_000_000
@@ -9,18 +9,21 @@ ENOUGH = 16  # stamps in a row that contradict what is known: then that is doubt
 SYNC_US = 4000  # between the rig's frames
 
 
-def wandering_rig(margin_us: int, sync_lost_us: int = 10_000_000) -> Rig:
+def wandering_rig(
+    margin_us: int, sync_lost_us: int = 10_000_000, period_us: int = PERIOD_US
+) -> Rig:
     """Its interval grows by 30 us in the first second alone; the limit is so much above it."""
-    settings = device_settings()
+    settings, poll_us = device_settings(), min(POLL_US, period_us // 2)
+    settings.servo_period_us = period_us
     sync = settings.sync
     sync.wander_ppb_s = 60_000
     settings.sync, settings.sync_lost_us = sync, sync_lost_us
-    known = Rig(settings=settings).sync().statuses[-1]
+    known = Rig(settings=settings, poll_us=poll_us).sync().statuses[-1]
     error_us = max(-known.least_error_ns, known.most_error_ns) // 1000 + 1
     assert 1000 < error_us < 2000  # half of the round trip, and what a poll adds
     sync.limit_us = error_us + margin_us
     settings.sync = sync
-    return Rig(settings=settings).sync()
+    return Rig(settings=settings, poll_us=poll_us).sync()
 
 
 def keep_running(rig: Rig, within_us: int) -> None:
@@ -103,13 +106,44 @@ def test_it_is_not_armed_with_a_clock_that_is_not_good() -> None:
     assert rig.state == S.UNSYNCED
 
 
+@pytest.mark.parametrize("period_us", [PERIOD_US, 100])
 @pytest.mark.parametrize("sync_lost_us", [100_000, 10_000_000])
-def test_silence_is_told_from_an_unsure_clock(sync_lost_us: int) -> None:
-    """Whichever comes first."""
-    rig = wandering_rig(margin_us=40, sync_lost_us=sync_lost_us).arm()
+def test_silence_is_told_from_an_unsure_clock(sync_lost_us: int, period_us: int) -> None:
+    """Whichever comes first; also where the clock is steered in parts."""
+    rig = wandering_rig(margin_us=40, sync_lost_us=sync_lost_us, period_us=period_us).arm()
     rig.syncing = False
     rig.run_until(S.TAIL, 5_000_000)
     assert rig.reason == ("SYNC_LOST" if sync_lost_us == 100_000 else "CLOCK")
+
+
+def test_in_short_periods_silence_is_found_a_millisecond_later_at_most() -> None:
+    settings = device_settings()
+    settings.servo_period_us, settings.sync_lost_us = 100, 100_000
+    for after_us in range(0, 1000, 150):
+        rig = Rig(settings=settings, poll_us=50).sync().arm()
+        while rig.now % SYNC_US != 0:
+            rig.poll()
+        rig.run(after_us)
+        rig.syncing = False
+        heard_us = rig.now - after_us + rig.delay_us
+        rig.run_until(S.TAIL, 200_000)
+        assert rig.reason == "SYNC_LOST"
+        assert 0 < rig.now - heard_us - 100_000 <= 1000 + 2 * 100
+
+
+def test_in_short_periods_the_clock_is_steered() -> None:
+    """To a host whose time is another one by less than the interval is wide, at 300 ppm at most."""
+    settings = device_settings()
+    settings.servo_period_us = 100
+    rig = Rig(settings=settings, poll_us=50).sync().arm()
+    before_us = rig.node.system_us(rig.now) - rig.host_us
+    host_is_off(rig, 300)
+    rig.run(200_000)
+    after_us = rig.node.system_us(rig.now) - rig.host_us
+    assert before_us - 300 < after_us  # it began so far behind
+    assert after_us - (before_us - 300) <= 200_000 * 301e-6
+    least_ns, most_ns = rig.node.error_ns
+    assert least_ns <= 1000 * after_us <= most_ns
 
 
 # ---- a host whose time is another one

@@ -77,7 +77,7 @@ FAULTS = {
     ),
     "room below": ("point_max, stop) &&", "point_max, stop) ||"),
     "rest": ("&& points[count - 1] == points[count - 3]", ""),
-    "live": ("if (live &&", "if (live && i == 0 &&"),
+    "live": ("if (i < live &&", "if (i < live && i == 0 &&"),
 }
 
 

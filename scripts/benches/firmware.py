@@ -4,7 +4,7 @@ The firmware, cross-compiled with -O2, runs in an emulator that counts (scripts/
 says by which table, and what a chip adds). It is the device of arm2's shoulder at work, at 10 kHz,
 with all tracks and an integral, and lives through the same polls as the same device on this
 computer: their states stay the same to the last byte. --profile: where a tick's cycles go, by
-function and by line.
+part, by function and by line.
 """
 
 from __future__ import annotations
@@ -235,11 +235,11 @@ def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
 
 
 def print_profile(us: int) -> None:
-    """Mean and worst tick, by function and by line."""
+    """Mean and worst tick, by part, by function and by line."""
     with tempfile.TemporaryDirectory() as folder:
         core, image, ticks = whole(Path(folder), us)
         for what, chosen in (("mean", ticks), ("worst", [max(ticks, key=cost)])):
-            for by in ("function", "line"):
+            for by in ("part", "function", "line"):
                 rows = profile(core, image, chosen, by)
                 table(f"Servo tick, {what}, cycles by {by}", rows[:PROFILED])
 

@@ -12,6 +12,7 @@ from emulator import Emulator, Tally
 from tools import PREFIX, ROOT
 
 Place = tuple[str, str]  # function, and file:line
+CALLERS = ("the_poll", "device_poll", "run_period", "drive", "find_setpoint")  # of a tick's parts
 
 
 def places(file: Path, addresses: Iterable[int]) -> dict[int, list[Place]]:
@@ -33,10 +34,17 @@ def places(file: Path, addresses: Iterable[int]) -> dict[int, list[Place]]:
     return found
 
 
-def profile(
-    core: Emulator, file: Path, tallies: list[Tally], by: str = "line"
-) -> list[dict[str, Any]]:
-    """Mean cycles of the tallies by "function" or "line", most first."""
+def label(chain: list[Place], by: str) -> str:
+    """Of an address: by "line"; by "function", the one it is written in; by "part", the outermost
+    one that does work of its own."""
+    function, where = chain[0]
+    if by == "part":
+        return next((name for name, _ in reversed(chain) if name not in CALLERS), function)
+    return function if by == "function" else f"{where} {function}"
+
+
+def profile(core: Emulator, file: Path, tallies: list[Tally], by: str) -> list[dict[str, Any]]:
+    """Mean cycles of the tallies by "part", "function" or "line", most first."""
     blocks: Counter[tuple[int, int]] = Counter()
     for tally in tallies:
         blocks.update(tally.blocks)
@@ -47,6 +55,5 @@ def profile(
     shares: Counter[str] = Counter()
     chains = places(file, costs)
     for at, cycles in costs.items():
-        function, where = chains[at][0]
-        shares[function if by == "function" else f"{where} {function}"] += cycles
+        shares[label(chains[at], by)] += cycles
     return [{by: name, "cycles": cycles / len(tallies)} for name, cycles in shares.most_common()]

@@ -169,7 +169,9 @@ void rivals_prepare(uint32_t seed) {
 // Value, from the first point on, and rate: their sum.
 int32_t spline_fixed(void) {
     struct instant at = {1, phase};
-    return track_value(&track, &at) - points[0] + track_rate(&track, &at);
+    track_load(&track, at.knot);
+    const struct span *span = track_span(&track, at.knot);
+    return span_value(span, at.phase) - points[0] + span_rate(span, at.phase);
 }
 
 int32_t spline_float(void) {

@@ -23,7 +23,15 @@ static void replay_store(void) {
     int32_t points[PLAN_POINTS_MAX];
     int32_t count = given_list("points", points, PLAN_POINTS_MAX);
     struct track *track = &tracks[given_sink()];
-    track_write(track, given("first_knot"), points, count);
+    int64_t first_knot = given("first_knot");
+    for (int32_t i = 0; i < 2; i++) // kept from before
+        track_span(track, first_knot + i);
+    track_write(track, first_knot, points, count);
+    for (int32_t i = 0; i < 2; i++) {
+        struct instant at = {first_knot + i, 1 << 15};
+        if (span_value(track_span(track, at.knot), at.phase) != track_value(track, &at))
+            say("another by the span that is kept");
+    }
 }
 
 static void replay_limits(void) {
