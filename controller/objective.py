@@ -9,6 +9,7 @@ Numerical Optimization, 2006, section 10.3), so a term's curvature never goes be
 from __future__ import annotations
 
 import ast
+import inspect
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,9 +29,14 @@ Term = tuple[Any, Any]  # a residual (any, 1) and its weight, a number or an exp
 
 FUNCTION = "objective"
 TRIALS = 200  # states at which costs have to be numbers
+WAYS, WAY_PARTS = 20, 32  # between states, on which they must not jump
+JUMP = 1e-6  # of the residual, over 1e-11 of a way
 ROUGH = {  # CasADi's operations whose slope says nothing
-    getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD", "NOT")
+    getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD")
 }
+
+# That may make a residual jump, or not: what is zero where it begins does not.
+CHOICES = {getattr(ca, f"OP_{name}") for name in ("LT", "LE", "EQ", "NE", "NOT", "IF_ELSE_ZERO")}
 
 
 class Symbols:
@@ -49,7 +55,7 @@ class Symbols:
         self.share = ca.SX.sym("share")
         self._machine, self._given = machine, parameters
         self.parameters: dict[str, tuple[Any, float]] = {}
-        self.kept_below: list[Term] = []
+        self.kept_below: list[tuple[Term, int]] = []  # and the line that said so
 
     @property
     def x(self) -> Any:
@@ -75,7 +81,9 @@ class Symbols:
 
     def keep_below(self, expression: Any, weight: Any) -> None:
         """The expression should stay below zero: what is above costs `weight` times its square."""
-        self.kept_below.append((expression, weight))
+        frame = inspect.currentframe()
+        line = frame.f_back.f_lineno if frame is not None and frame.f_back is not None else 1
+        self.kept_below.append(((expression, weight), line))
 
     def place(self, name: str) -> Any:
         """Where the origin of a body or a site is in the world (3, 1) [m]. Raises ValueError for a
@@ -135,8 +143,8 @@ def read_costs(
         _checked(source, places.get(i, lines[0]), symbols, f"term {i}", term)
         for i, term in enumerate(returned)
     ]
-    for i, term in enumerate(symbols.kept_below):
-        value, weight = _checked(source, lines[0], symbols, f"keep_below {i}", term)
+    for i, (term, line) in enumerate(symbols.kept_below):
+        value, weight = _checked(source, line, symbols, f"keep_below {i}", term)
         checked.append((ca.fmax(value, 0), weight))
     return _gauss_newton(symbols, checked)
 
@@ -170,14 +178,13 @@ def _run(source: Path, text: str, symbols: Symbols) -> Any:
             raise ValueError(f"task.file: {source}: has no function {FUNCTION}(symbols)")
         return space[FUNCTION](symbols)
     except SyntaxError as error:
-        raise _wrong(source, error.lineno or 1, f"is not Python: {error.msg}") from error
+        of = Path(error.filename or source)  # it may be of a file that this one imports
+        raise _wrong(of, error.lineno or 1, f"is not Python: {error.msg}") from error
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         own = [frame.lineno for frame in frames if frame.filename == str(source) and frame.lineno]
-        if not own:
-            raise
         words = " ".join(str(error).split()) or type(error).__name__
-        raise _wrong(source, own[-1], words) from error
+        raise _wrong(source, own[-1] if own else _lines(text)[0], words) from error
 
 
 def _lines(text: str) -> list[int]:
@@ -237,7 +244,39 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
             raise _wrong(source, line, words)
         if float(found[1]) < 0:
             raise _wrong(source, line, f"{name} has a negative weight, {float(found[1]):.4g}")
+    if CHOICES & set(_operations(function)):
+        _require_no_jump(source, line, symbols, name, function)
     return residual, weight
+
+
+def _require_no_jump(
+    source: Path, line: int, symbols: Symbols, name: str, function: ca.Function
+) -> None:
+    """Raises ValueError if the residual jumps on the way between states at random: where it changes
+    most on such a way the half in which it does is halved again, until what does not jump would
+    not have changed."""
+    rng, size = np.random.default_rng(1), 2 * symbols.q.numel()
+
+    def at(state: Array, time_s: float, share: float) -> Array:
+        return np.array(function(state, time_s, share, symbols.values)[0])[:, 0]
+
+    for _ in range(WAYS):
+        begin, end = rng.uniform(-np.pi, np.pi, (2, size))
+        when = rng.uniform(0, 10), rng.uniform()
+        places = np.linspace(begin, end, WAY_PARTS)
+        values = np.array([at(place, *when) for place in places])
+        part = int(np.abs(np.diff(values, axis=0)).max(axis=1).argmax())
+        (low, high), (first, last) = places[part : part + 2], values[part : part + 2]
+        for _ in range(40):
+            middle = (low + high) / 2
+            value = at(middle, *when)
+            if np.abs(value - first).max() > np.abs(last - value).max():
+                high, last = middle, value
+            else:
+                low, first = middle, value
+        if np.abs(last - first).max() > JUMP * (1 + np.abs(values).max()):
+            place = ", ".join(f"{number:.4g}" for number in low)
+            raise _wrong(source, line, f"{name} is not differentiable: it jumps at [{place}]")
 
 
 def _operations(function: ca.Function) -> list[int]:

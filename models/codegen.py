@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.models._generated import Bound, shapes
+from headway.models.uncompiled import UncompiledError
 
 Array = NDArray[np.float64]
 
@@ -87,15 +88,22 @@ def compile_source(name: str, source: str, language: Literal["c", "c++"] = "c") 
 
     The shared library is named by the hash of its source and put in place by a rename, so
     processes that compile at the same time do no harm to each other. It ends in a hash of its own,
-    so a damaged one is built anew. Raises RuntimeError when there is no compiler or it fails.
+    so a damaged one is built anew. Raises UncompiledError when there is no compiler, when it fails,
+    and when the cache cannot be used.
     """
     made_of = language + source + " ".join(FLAGS) + _processor()
     digest = hashlib.sha256(made_of.encode()).hexdigest()[:20]
     library = cache_dir() / f"{name}-{digest}.so"
-    new = not _intact(library)
-    _told.get()(name, new)
-    if new:
-        _build(name, source, language, library)
+    try:
+        new = not _intact(library)
+        _told.get()(name, new)
+        if new:
+            _build(name, source, language, library)
+    except OSError as error:
+        raise UncompiledError(
+            f"{error.filename or library}: {error.strerror}: compiled models are kept there; make "
+            "it writable, or name another place in XDG_CACHE_HOME"
+        ) from error
     return library
 
 
@@ -126,7 +134,7 @@ def _build(name: str, source: str, language: str, library: Path) -> None:
     variable, usual, package = COMPILERS[language]
     compiler = shutil.which(os.environ.get(variable) or usual) or shutil.which(package)
     if compiler is None:
-        raise RuntimeError(
+        raise UncompiledError(
             f"no {language.upper()} compiler found: install one with "
             f"`sudo apt-get install {package}`"
         )
@@ -137,7 +145,7 @@ def _build(name: str, source: str, language: str, library: Path) -> None:
         command = [compiler, *FLAGS, "-o", str(built), "-x", language, str(file), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+            raise UncompiledError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
         seal = _seal(built.read_bytes())
         with built.open("ab") as whole:  # what follows an ELF file's own end is ignored
             whole.write(seal)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from headway.cli.main import main
 from headway.models.codegen import (
     Call,
     cache_dir,
@@ -15,6 +16,9 @@ from headway.models.codegen import (
     compile_mapped,
     named_function,
 )
+from headway.models.uncompiled import UncompiledError
+
+CONFIG = Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml"
 
 
 @pytest.fixture(autouse=True)
@@ -194,9 +198,11 @@ def test_without_a_compiler_the_error_says_what_to_install(
             monkeypatch.setenv(variable, named)
         else:
             monkeypatch.delenv(variable, raising=False)
-    with pytest.raises(RuntimeError, match=r"no C compiler found.*sudo apt-get install gcc"):
+    with pytest.raises(UncompiledError, match=r"no C compiler found.*sudo apt-get install gcc"):
         compile_functions("poly", [polynomial()])
-    with pytest.raises(RuntimeError, match=r"no C\+\+ compiler found.*sudo apt-get install g\+\+"):
+    with pytest.raises(
+        UncompiledError, match=r"no C\+\+ compiler found.*sudo apt-get install g\+\+"
+    ):
         compile_mapped("many", polynomial(), 4, [])
     assert not cache.exists() or not list(cache.iterdir())
 
@@ -208,6 +214,18 @@ def test_a_compiler_that_fails_is_reported_with_its_words(
     compiler.write_text("#!/bin/sh\necho out of memory, says the compiler >&2\nexit 3\n")
     compiler.chmod(0o755)
     monkeypatch.setenv("CC", str(compiler))
-    with pytest.raises(RuntimeError, match="out of memory, says the compiler"):
+    with pytest.raises(UncompiledError, match="out of memory, says the compiler"):
         compile_functions("poly", [polynomial()])
     assert list(cache.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_is_told_to_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file where its folder should be, as for root nothing is read-only."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.raises(UncompiledError, match="XDG_CACHE_HOME"):
+        compile_functions("poly", [polynomial()])
+    assert main(["run", str(CONFIG), "--duration", "0.1", "--out", str(tmp_path / "run")]) == 2
+    assert "XDG_CACHE_HOME" in capsys.readouterr().err

@@ -115,13 +115,32 @@ def test_energies_and_places_are_pinocchios(name: str) -> None:
         ("return [\n    (ca.log(s.q[0]), 1.0),\n]", 5, "term 0 is not a number"),
         ("return [(ca.sqrt(1 - ca.cos(s.q[0])), 1)]", 4, "has no slope"),
         ("return [(ca.floor(s.q[0]), 1.0)]", 4, "not differentiable: it has floor"),
-        ("s.keep_below(ca.sign(s.q[0]), 1)\nreturn []", 5, "keep_below 0 is not"),
+        ("s.keep_below(ca.sign(s.q[0]), 1)\nreturn []", 4, "keep_below 0 is not"),
+        ("return [(ca.if_else(s.q[0] > 0.3, 1, 0), 1)]", 4, "not differentiable: it jumps at"),
+        ("x = 0\nreturn [(s.q[0] * (s.v[1] <= 2), 1)]", 5, "not differentiable: it jumps at"),
     ],
 )  # fmt: skip
 def test_mistakes_are_told_with_their_line(tmp_path: Path, body: str, line: int, told: str) -> None:
     with pytest.raises(ValueError, match=told) as error:
         costs_of(tmp_path, body)
     assert f"costs.py:{line}: " in str(error.value)
+
+
+def test_a_choice_that_does_not_jump_is_one(tmp_path: Path) -> None:
+    """Of the state where both sides meet, of time wherever."""
+    costs_of(
+        tmp_path,
+        "beyond = s.q[0] - 0.3\n"
+        "return [(ca.if_else(beyond > 0, beyond**2, 0), 1), "
+        "(ca.if_else(s.time_s > 3, s.q[0], s.q[1]), 1)]",
+    )
+
+
+def test_a_function_of_other_arguments_is_told_with_its_line(tmp_path: Path) -> None:
+    source = tmp_path / "costs.py"
+    source.write_text("import math\n\ndef objective(s, more):\n    return []\n")
+    with pytest.raises(ValueError, match=rf"{source}:4: .*missing 1 required positional"):
+        read_costs(source, machine_of("arm2"), np.zeros(2), {})
 
 
 def test_parameters_that_nobody_asks_for(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from headway.cli.report import report
 from headway.cli.run import run
 from headway.cli.sweep import sweep
 from headway.cli.sync import sync
+from headway.models.uncompiled import UncompiledError
 
 HELP = """Receding-horizon control for machines at the far end of slow, jittery, lossy wires.
 
@@ -88,6 +89,9 @@ def main(arguments: list[str] | None = None) -> int:
     except Failure as failure:
         print(failure, file=sys.stderr)
         return failure.code
+    except UncompiledError as error:
+        print(error, file=sys.stderr)
+        return ExitCode.USAGE
     except KeyboardInterrupt:
         print("interrupted; nothing was written", file=sys.stderr)
         return ExitCode.INTERRUPTED
