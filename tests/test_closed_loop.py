@@ -40,7 +40,7 @@ def shipped() -> Lockstep:
 
 
 def test_tracks_within_its_goals(shipped):
-    assert np.all(rms(task_error(shipped)) <= [0.45e-3, 0.75e-3])
+    assert np.all(rms(task_error(shipped)) <= [0.40e-3, 0.70e-3])
 
 
 def test_every_plan_of_the_shipped_run_is_accepted(shipped):
@@ -72,7 +72,7 @@ def test_ten_times_better_than_nominal_feedforward(shipped):
 
 
 @pytest.mark.parametrize(
-    ("margin_us", "limit_mrad"), [(8192, (0.45, 0.75)), (12288, (0.45, 0.75)), (24576, (0.65, 1.1))]
+    ("margin_us", "limit_mrad"), [(8192, (0.40, 0.70)), (12288, (0.40, 0.70)), (24576, (0.65, 1.1))]
 )
 def test_ten_thousand_ticks_under_mismatch(margin_us, limit_mrad):
     lockstep = closed_loop("duration_s=41", f"loop.margin_us={margin_us}", "seed=11")
