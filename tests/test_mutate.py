@@ -80,6 +80,11 @@ def of_body(tool: dict[str, ModuleType], body: str, kind: str, enums: Any = None
     [
         ("relation", "b = a < 7;", {"b = a <= 7;", "b = a >= 7;"}),
         ("relation", "b = a == b;", {"b = a != b;", "b = a <= b;", "b = a >= b;"}),
+        ("relation", "b = a == BLUE;", {"b = a != BLUE;", "b = a <= BLUE;"}),
+        ("relation", "b = a != BLUE;", {"b = a == BLUE;", "b = a > BLUE;"}),
+        ("relation", "b = a == BLUE + 1;",
+         {"b = a != BLUE + 1;", "b = a <= BLUE + 1;", "b = a >= BLUE + 1;"}),
+        ("relation", "b = a == GREEN;", {"b = a != GREEN;", "b = a <= GREEN;", "b = a >= GREEN;"}),
         ("arithmetic", "b = a + b;", {"b = a - b;"}),
         ("arithmetic", "b = a << b;", {"b = a >> b;"}),
         ("arithmetic", "b = a & b;", {"b = a | b;", "b = a ^ b;"}),

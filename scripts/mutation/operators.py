@@ -157,7 +157,8 @@ class Mutator:
         source, text = self.source, self.source.tokens[i].text
         if text in RELATIONS:
             for new in RELATIONS[text]:
-                yield self._make("relation", i, i + 1, new)
+                if not self._is_same_by_type(i, new):
+                    yield self._make("relation", i, i + 1, new)
         elif text in ARITHMETIC:
             if text not in _MAYBE_UNARY or source.is_binary(i):
                 for new in ARITHMETIC[text]:
@@ -176,6 +177,15 @@ class Mutator:
                 yield from self._swaps(i)
         elif text == "{" and self._is_initializer(i):
             yield from self._swaps(i)
+
+    def _is_same_by_type(self, i: int, new: str) -> bool:
+        """Whether an equality with the last of an enumeration becomes an order towards it."""
+        tokens = self.source.tokens
+        name, behind = tokens[i + 1].text, tokens[i + 2].text
+        if name not in self.enums or behind not in (")", "&&", "||", ";", ",", "?", ":"):
+            return False
+        ordered = (tokens[i].text, new) in (("==", ">="), ("!=", "<"))
+        return ordered and name == self.enums[name][-1]
 
     def _is_initializer(self, i: int) -> bool:
         """Whether the brace at i opens a list of values, a compound literal's too."""

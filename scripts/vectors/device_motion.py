@@ -85,9 +85,9 @@ def armed(b: Bench) -> None:
         b.go(5)
         assert set(b.numbers("power")) == {1} and set(b.numbers("brake")) == {1}
         assert b.status.epoch == 7 and b.status.holding_tq == torque
-        for state in ("ARMED", "IDLE"):
-            b.orders("ARM", "DONE" if state == "ARMED" else b.order("DISARM"), state, epoch=9,
-                     number=number)  # fmt: skip
+        b.orders("ARM", "DONE", "ARMED", epoch=9, number=number)
+        b.orders("DISARM", "DONE", "IDLE")
+        b.orders("ARM", "DONE", "IDLE", epoch=9, number=number)
         b.go(5)
         assert not b.powered
     b.scene("armed", IDLE)
@@ -602,7 +602,7 @@ def numbers(b: Bench) -> None:
                             (-100_001, "stale")):  # fmt: skip
         b.scene(f"a plan sent {age_us} us ago: {verdict}", ARMED)
         b.hear()
-        ago_us = age_us - (b.device_us + PERIOD_US - _core_epoch(b))
+        ago_us = age_us - (b.device_us + PERIOD_US - _host_us(b))
         packet = b.plan(b.knot + AHEAD, at_rest(9, HERE + (1 << 20)), ago_us=ago_us)
         b.give(packet)
         b.run(1)
@@ -616,7 +616,7 @@ def numbers(b: Bench) -> None:
     b.go(40)
 
 
-def _core_epoch(b: Bench) -> int:
+def _host_us(b: Bench) -> int:
     """The host's time."""
     return EPOCH_US + b.host.now_us
 

@@ -405,6 +405,14 @@ def marks(b: Bench) -> None:
 
 
 def neighbours(b: Bench) -> None:
+    for random in (0x10, 0x11):
+        b.scene("boards among themselves: each is known by what it has drawn, made odd", None)
+        made = settings()
+        made.neighbours, made.ask_us, made.sync.among_boards = 0b10, 60_000, True
+        b.boot(made, random=random)
+        b.run(1)
+        b.give(_core.cobs_encode(request(PEER_KEY, 999)), 1)
+        b.run(2, tell=2)
     for among in (False, True):
         b.scene(f"boards at two ports, {'among themselves' if among else 'beside a host'}")
         made = settings()
