@@ -54,9 +54,7 @@ static inline uint64_t fixed_mul_u32(uint32_t a, uint32_t b) {
 }
 
 static inline int64_t fixed_mul_i32(int32_t a, uint32_t b) {
-    uint64_t beyond =
-        a < 0 ? (uint64_t)b << 32 : 0; // by which a is too large as a number without sign
-    return (int64_t)(fixed_mul_u32((uint32_t)a, b) - beyond);
+    return fixed_mul_u16(a, (uint16_t)(b >> 16)) * (1 << 16) + fixed_mul_u16(a, (uint16_t)b);
 }
 
 // a * scale, rounded down. Saturates to +-INT32_MAX, from 2^(16 - shift) before the ends on.

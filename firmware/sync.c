@@ -143,8 +143,8 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
     bool good = same && prove(sync, &limits, clock, source, stamps, arrived_us);
     if (good)
         *doubt -= *doubt > 0;
-    else if (*doubt <= SYNC_DOUBT_MAX)
-        *doubt += SYNC_DOUBT_STEP;
+    else
+        *doubt = *doubt > SYNC_DOUBT_MAX ? *doubt : (uint16_t)(*doubt + SYNC_DOUBT_STEP);
     sync->doubting = doubts_all(sync);
     if (!good) {
         sync->excluded++;
