@@ -21,7 +21,7 @@ from headway.cli.progress import Bar
 from headway.controller import program
 from headway.controller._tick import Tick
 from headway.controller.record.channels import CHANNELS
-from headway.controller.record.reader import read_run
+from headway.controller.record.reader import RecordError, read_run
 from headway.sim.lockstep import Lockstep
 
 ARM2 = Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml"
@@ -287,10 +287,12 @@ def test_our_mistake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert "Traceback" in crash.read_text()
 
 
-def cpu_s(pid: int) -> float:
-    """Processor time that a process has used [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def ticks_in(folder: Path) -> int:
+    """How many a record has by now; none if not even its beginning is there."""
+    try:
+        return read_run(folder).messages["tick"]
+    except RecordError:
+        return 0
 
 
 def hold_back(pid: int, number: int) -> list[bool]:
@@ -302,26 +304,28 @@ def hold_back(pid: int, number: int) -> list[bool]:
 
 def test_ctrl_c() -> None:
     command = [str(COMMAND), "run", str(ARM2), "--duration", "1000", "--json", "--out", "out"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not Path("out/run.mcap").exists():  # the simulation begins
-        assert process.poll() is None
-        time.sleep(0.02)
-    began_s = cpu_s(process.pid)
-    while cpu_s(process.pid) < began_s + 2:  # the task is under way
-        time.sleep(0.02)
-    others = hold_back(process.pid, signal.SIGINT)  # OSQP's handler would print in one of them
-    assert others and all(others)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        try:
+            while ticks_in(Path("out")) == 0:  # until the task is under way
+                assert run.poll() is None
+                time.sleep(0.1)
+            others = hold_back(run.pid, signal.SIGINT)  # OSQP's handler would print in one of them
+            assert others and all(others)
+            run.send_signal(signal.SIGINT)
+            out, err = run.communicate(timeout=120)
+        finally:
+            run.kill()
+    assert run.returncode == 130, err
     assert "interrupted; the machine was brought to rest" in err
     summary = json.loads(out)
     assert summary == json.loads(Path("out/summary.json").read_text())
     assert summary["at_rest_after_end"] is True
     assert summary["solver"]["ticks"] > 0
-    run = read_run(Path("out"))
-    assert run.complete and run.messages["tick"] == summary["solver"]["ticks"]
-    assert run.arrays["truth_s"][-1] > run.arrays["tick_s"][-1] + 1
+    record = read_run(Path("out"))
+    assert record.complete and record.messages["tick"] == summary["solver"]["ticks"]
+    assert record.arrays["truth_s"][-1] > record.arrays["tick_s"][-1] + 1
     assert [p.name for p in Path().iterdir()] == ["out"]
 
 
