@@ -220,6 +220,7 @@ void drive(struct device *device, struct board *board, const struct instant *now
         // Not as a whole: between its fields a struct has bytes that nobody has set, and a device's
         // state is the same to the last byte after the same history.
         device->setpoint.position_pq = setpoint.position_pq;
+        device->setpoint.velocity_pq = setpoint.velocity_pq;
         device->setpoint.torque_tq = setpoint.torque_tq;
         board_set_duty(board, duty);
         note_torque(&device->status, servo);

@@ -76,7 +76,7 @@ def test_a_sound_tick_follows_nonsense(machine: str, backend: str) -> None:
     for name in ("a", "b0"):
         of.prepare()
         of.program.pool[name][0, 3] = np.nan
-        of.program._tick.feedback()
+        of.program.tick.feedback()
         of.prepare()
         assert of.feedback().accepted
     of.program.prepare(np.full_like(of.x, np.nan), of.u, of.d)
@@ -115,7 +115,7 @@ def test_other_threads_run_while_it_computes(backend: str) -> None:
     thread.start()
     for _ in range(200):
         before = counted[0]
-        of.program._tick.feedback()
+        of.program.tick.feedback()
         most = max(most, counted[0] - before)
         if most > 100:
             break
@@ -129,7 +129,7 @@ import ctypes, sys
 from test_compiled_tick import Still
 counter = ctypes.CDLL(sys.argv[1])
 of = Still(sys.argv[2], sys.argv[3])
-prepare, feedback = of.program._tick.prepare, of.program._tick.feedback
+prepare, feedback = of.program.tick.prepare, of.program.tick.feedback
 def ticks(count):
     for _ in range(count):
         prepare()
