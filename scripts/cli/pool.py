@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.connection
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
@@ -21,6 +22,9 @@ def processes(count: int) -> Iterator[Executor]:
     """An executor of `count` new processes. What is raised meanwhile ends them at once; Ctrl-C is
     for this process alone."""
     before = multiprocessing.active_children()
+    # Its threads write to processes that may just have ended: that is an error of theirs, and not,
+    # as on standard output, the end of all.
+    pipe = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
     try:
         yield pool
@@ -31,6 +35,7 @@ def processes(count: int) -> Iterator[Executor]:
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+        signal.signal(signal.SIGPIPE, pipe)
 
 
 def _begin() -> None:
