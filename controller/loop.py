@@ -23,9 +23,9 @@ from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.mpc import Mpc
 from headway.controller.observable import require_observable
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.record.recorder import Recorder
-from headway.controller.reference import ENTRY_S, Custom, Entry, Reference
+from headway.controller.reference import ENTRY_S, Entry, Reference, own_costs
 from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
@@ -78,7 +78,6 @@ class Loop:
             }
             for axis, units in zip(driven.values(), moved_units, strict=True)
         ]
-        law = ServoLaw.of(axes)
         self._resting = RESTING_SHARE * np.array([axis.velocity_limit for axis in axes])
         self._horizon = config.mpc.horizon_us // self._knot_us
         points = plan_points(config)
@@ -87,7 +86,7 @@ class Loop:
                 f"mpc.horizon_us and loop.margin_us make plans of {points} points; a frame holds "
                 f"{core.PLAN_POINTS_MAX}: choose a longer knot or a shorter horizon"
             )
-        self._prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
+        self._prediction = Prediction.of(config, machine)
         self._unit_per_count = [u.unit_per_count for u in self._units]
         bare = config.machine.bare
         require_observable(config, machine, reference.at(np.zeros(1))[0][0])
@@ -98,9 +97,9 @@ class Loop:
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
             limits.update(more)
-        self._commitment = Commitment(self._moved, moved_units, gains, config.loop, law.driven)
+        self._commitment = Commitment(self._moved, moved_units, gains, config.loop, self._driven)
         self._encoder = Encoder(self._prediction, moved_units, gains, config.loop)
-        costs = reference.costs(machine) if isinstance(reference, Custom) else None
+        costs = own_costs(reference, machine)
         self._mpc: Mpc | None = None
         if config.mpc.enabled:
             self._mpc = Mpc(config, self._prediction, self._encoder, costs)
@@ -252,11 +251,11 @@ class Loop:
     def _enter_anew(self, commit: Estimate, commit_knot: int) -> None:
         """When no new plan was found until the last one ended and the machine rests, perhaps far
         from its reference, it is led there as at the start."""
-        n, law = self._prediction.n, self._prediction.law
+        n = self._prediction.n
         ended = commit_knot - self._planned >= self._horizon
         if ended and np.all(np.abs(commit.z[n : 2 * n]) <= self._resting):
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
-            torque = law.clipped(law.torque(commit.state(n), commit.tracks))
+            torque = self._prediction.law.given(commit.state(n), commit.tracks)
             self._enter(commit.z[:n], torque, start_s)
             self._wanted = self._wanted_from(commit_knot)
 
@@ -279,8 +278,7 @@ class Loop:
             knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
             return self._encoder.plan(motion, self._moved, commit_knot, state, self._disturbance)
-        law = self._prediction.law
-        torque = law.clipped(law.torque(state, tick.commit.tracks))
+        torque = self._prediction.law.given(state, tick.commit.tracks)
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
         tick.solution = solution = self._mpc.solve(

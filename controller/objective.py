@@ -230,7 +230,8 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
         )
     inputs = [x, symbols.time_s, symbols.share, symbols.numbers]
     function = ca.Function("term", inputs, [residual, weight, ca.jacobian(residual, x)])
-    rough = {ROUGH[op] for op in _operations(function) if op in ROUGH}
+    operations = {function.instruction_id(k) for k in range(function.n_instructions())}
+    rough = {ROUGH[op] for op in operations if op in ROUGH}
     if rough:
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
         raise _wrong(source, line, words)
@@ -244,7 +245,7 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
             raise _wrong(source, line, words)
         if float(found[1]) < 0:
             raise _wrong(source, line, f"{name} has a negative weight, {float(found[1]):.4g}")
-    if CHOICES & set(_operations(function)):
+    if CHOICES & operations:
         _require_no_jump(source, line, symbols, name, function)
     return residual, weight
 
@@ -277,10 +278,6 @@ def _require_no_jump(
         if np.abs(last - first).max() > JUMP * (1 + np.abs(values).max()):
             place = ", ".join(f"{number:.4g}" for number in low)
             raise _wrong(source, line, f"{name} is not differentiable: it jumps at [{place}]")
-
-
-def _operations(function: ca.Function) -> list[int]:
-    return [function.instruction_id(k) for k in range(function.n_instructions())]
 
 
 def _a(value: Any) -> str:

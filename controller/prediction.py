@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
+from headway.configs.schema import Config
 from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta, servo_torque
 from headway.models.codegen import Call, compile_functions, compile_mapped, named_function
 from headway.models.machine import Machine
@@ -62,16 +63,16 @@ class ServoLaw:
         """[Kp, Kd + c] as configured (2n)."""
         return np.concatenate((self.kp, self.kd + self.emf))
 
-    def clipped(self, torque: Array) -> Array:
-        """What the motors give of a torque (n,)."""
-        given: Array = np.clip(torque, -self.limit, self.limit)
-        return given
-
     def torque(self, x: Array, tracks: Array) -> Array:
         """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 5n)."""
         n = len(self.limit)
         rows = [tracks[..., i * n : (i + 1) * n] for i in range(TRACK_ROWS)]
         torque: Array = servo_torque(rows, x[..., :n], x[..., n:])
+        return torque
+
+    def given(self, x: Array, tracks: Array) -> Array:
+        """The same as far as the motors give it."""
+        torque: Array = np.clip(self.torque(x, tracks), -self.limit, self.limit)
         return torque
 
 
@@ -99,6 +100,12 @@ class Prediction:
             ("step", "rollout", "inverse"), library
         )
         self.step, self._inverse = self.call("step"), self.call("inverse")
+
+    @classmethod
+    def of(cls, config: Config, machine: Machine) -> Prediction:
+        """A config's."""
+        mpc, law = config.mpc, ServoLaw.of(config.machine.axes)
+        return cls(machine, law, mpc.intervals, mpc.horizon_us // config.loop.knot_us)
 
     def call(self, name: str, pool: dict[str, Array] | None = None) -> Call:
         """A function by its name, on arrays of its own or on those of a pool, see `Call`. The servo

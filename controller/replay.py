@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from headway.controller.gains import Gains
 from headway.controller.loop import plan_points
 from headway.controller.motion import Motion
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.record.reader import Run
-from headway.controller.reference import ENTRY_S, Custom, Entry, task_reference
+from headway.controller.reference import ENTRY_S, Entry, own_costs, task_reference
 from headway.controller.tracks import Encoder
 from headway.devices import core
 from headway.devices.axis import AxisUnits, whole_turns
@@ -63,18 +63,17 @@ class Replay:
         if not len(run.arrays["entry_us"]):
             raise ReplayError("the record has no entry onto the task: it is too old, or too short")
         machine = load_machine(Path(config.machine.model), config.machine.coupling)
-        axes, self._knot_us = config.machine.axes, config.loop.knot_us
+        self._knot_us = config.loop.knot_us
         self._horizon = config.mpc.horizon_us // self._knot_us
         self._units = {
             i: AxisUnits.of(axis, config.loop) for i, axis in config.machine.driven.items()
         }
-        law = ServoLaw.of(axes)
-        self.prediction = Prediction(machine, law, config.mpc.intervals, self._horizon)
+        self.prediction = Prediction.of(config, machine)
         gains = Gains(config, machine, plan_points(config))
         units = list(self._units.values())
         self._encoder = Encoder(self.prediction, units, gains, config.loop)
         self._task = task_reference(config, Path())
-        self.costs = self._task.costs(machine) if isinstance(self._task, Custom) else None
+        self.costs = own_costs(self._task, machine)
         self._n = self.prediction.n
 
     @property

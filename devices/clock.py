@@ -52,7 +52,7 @@ class RemoteClock:
     def __init__(self) -> None:
         # When it was received; least and most, as they would be at `_base_us`; round trip.
         self._window: deque[tuple[int, float, float, int]] = deque()
-        self._base_us: int | None = None
+        self._base_us = 0
         self._status: _core.Status | None = None
 
     def note(self, status: _core.Status, received_us: int) -> None:
@@ -66,7 +66,7 @@ class RemoteClock:
             least = status.sent_us - received_us - 1
             most = status.sent_us - age_us - heard_us + 2 + SLEW_PPM * 1e-6 * age_us
             # They blur from then on, all at one rate: which is the tightest does not change.
-            if self._base_us is None:
+            if not self._window:
                 self._base_us = heard_us
             blur = RATE_PPM * 1e-6 * (heard_us - self._base_us)
             trip = received_us - heard_us - age_us
@@ -82,7 +82,7 @@ class RemoteClock:
         self._forget(now_us)
         status = self._status
         measured = offset = trip = None
-        if self._window and self._base_us is not None:
+        if self._window:
             blur = RATE_PPM * 1e-6 * (now_us + 1 - self._base_us)
             _, leasts, mosts, trips = zip(*self._window, strict=True)
             least, most = max(leasts) - blur, min(mosts) + blur

@@ -59,7 +59,7 @@ def driven_model(
         on_board = {a.target for a in spec.actuators if a.plugin.plugin_name == PLUGIN}
         missing = [axis for axis in machine.boards if axis.joint not in on_board]
         if not missing:
-            return spec.compile()
+            return spec.compile() if needless else bare
         _strip(spec)
         spec.option.timestep = _step_us(servo_period_us) * 1e-6
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,8 +107,8 @@ class Lockstep:
         """The host's time at true time 0, as its clock has it now."""
         return self.link.epoch_us
 
-    def task_s(self, system_us: int) -> float:
-        """Time of the task at a system time."""
+    def task_s(self, system_us: int | NDArray[np.int64]) -> Any:
+        """Time of the task at a system time, or at several."""
         return (system_us - self.loop.start_us) * 1e-6
 
     def elapsed_s(self, true_us: int) -> float:
@@ -162,7 +163,7 @@ class Lockstep:
         first_us = (plant.true_us // TRUTH_US + 1) * TRUTH_US
         if noting:  # all at once: numpy's calls cost more than its numbers
             noted_us = np.arange(first_us, true_us + step_us, TRUTH_US)
-            wanted = self.reference.at((noted_us + epoch_us - self.loop.start_us) * 1e-6)[0]
+            wanted = self.reference.at(self.task_s(noted_us + epoch_us))[0]
         now_us = plant.true_us
         while now_us < true_us:
             if self._mishaps and noting:

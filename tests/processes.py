@@ -23,7 +23,7 @@ import numpy as np
 from headway.cli.wall import WallClock
 from headway.configs.load import load_config
 from headway.controller.record.columns import Arrays
-from headway.controller.record.reader import read_run
+from headway.controller.record.reader import RecordError, read_run
 from headway.devices.keys import draw_keys
 from headway.sim.truth import TRUTH_US
 
@@ -37,6 +37,14 @@ AFTER_US = 250_000  # beyond the plan: five of the time constants (Kd / Kp) of a
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([*LOAD, __name__])
+
+
+def ticks_in(folder: Path) -> int:
+    """How many are there by now; -1 if not even the file's beginning is."""
+    try:
+        return read_run(folder).messages["tick"]
+    except RecordError:
+        return -1
 
 
 def _control(

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from headway.configs.load import load_config
 from headway.controller._tick import Feedback
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.program import Program
-from headway.controller.reference import Custom, task_reference
+from headway.controller.reference import own_costs, task_reference
 from headway.models.machine import load_machine
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,11 +35,8 @@ class Still:
         said = [f"mpc.backend={backend}", f"mpc.sqp_iterations={iterations}"]
         config = load_config(CONFIGS / f"{machine}.yaml", said)
         loaded = load_machine(CONFIGS / config.machine.model)
-        knots = config.mpc.horizon_us // config.loop.knot_us
-        law = ServoLaw.of(config.machine.axes)
-        prediction = Prediction(loaded, law, config.mpc.intervals, knots)
-        task = task_reference(config, CONFIGS)
-        costs = task.costs(loaded) if isinstance(task, Custom) else None
+        prediction = Prediction.of(config, loaded)
+        costs = own_costs(task_reference(config, CONFIGS), loaded)
         self.program, n = Program(config, prediction, costs), prediction.n
         self.q, self.d = np.full(n, 0.1), np.zeros(n)
         nodes = config.mpc.intervals + 1

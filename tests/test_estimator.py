@@ -40,9 +40,7 @@ Times = NDArray[np.int64]
 def prediction() -> Prediction:
     config = load_config(CONFIGS / "arm2.yaml")
     machine = load_machine(ROOT / "models" / "arm2" / "arm2.xml")
-    mpc = config.mpc
-    horizon = mpc.horizon_us // config.loop.knot_us
-    return Prediction(machine, ServoLaw.of(config.machine.axes), mpc.intervals, horizon)
+    return Prediction.of(config, machine)
 
 
 def estimator(**changes: float) -> Estimator:

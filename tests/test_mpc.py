@@ -16,7 +16,7 @@ from headway.controller import program
 from headway.controller._tick import Answer, Stranger
 from headway.controller.mpc import Mpc, Solution
 from headway.controller.ocp import Limits, Ocp
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.program import Program
 from headway.controller.tick import Phase
 from headway.models.codegen import compile_functions
@@ -159,9 +159,7 @@ def test_programs_in_a_row_converge_on_the_motion_itself() -> None:
         overrides = [f"mpc.sqp_iterations={iterations}", "mpc.backend=hpipm"]
         config = load_config(CONFIGS / "arm2.yaml", overrides)
         machine = load_machine(CONFIGS / config.machine.model)
-        knots, count = config.mpc.horizon_us // config.loop.knot_us, config.mpc.intervals
-        law = ServoLaw.of(config.machine.axes)
-        prediction = Prediction(machine, law, count, knots)
+        count, prediction = config.mpc.intervals, Prediction.of(config, machine)
         solver = Program(config, prediction)
         n, q = 2, np.array([0.3, 0.2])
         still = np.repeat(np.concatenate((q, np.zeros(n)))[:, None], count + 1, axis=1)

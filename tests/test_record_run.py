@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from processes import ticks_in
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
 from headway.cli.summary import summarize
 from headway.configs.load import load_config
 from headway.controller.record import recording as recording_module
-from headway.controller.record.reader import MAGIC, RecordError, read_run
+from headway.controller.record.reader import MAGIC, read_run
 from headway.controller.record.recording import Recording
 from headway.sim.lockstep import Lockstep
 
@@ -69,14 +70,6 @@ def wait_until(condition: Callable[[], bool], process: "subprocess.Popen[bytes] 
     while not condition():
         assert process is None or process.poll() is None
         time.sleep(0.01)
-
-
-def ticks_in(folder: Path) -> int:
-    """How many are there by now; -1 if not even the file's beginning is."""
-    try:
-        return read_run(folder).messages["tick"]
-    except RecordError:
-        return -1
 
 
 def test_a_killed_run_leaves_its_record() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from headway.configs.load import load_config
 from headway.controller._tick import Riccati
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.program import (
     STAGES_TOLERANCE,
     Feedback,
@@ -24,7 +24,7 @@ from headway.controller.program import (
     riccati_source,
     squaring,
 )
-from headway.controller.reference import Custom, task_reference
+from headway.controller.reference import own_costs, task_reference
 from headway.models.codegen import compile_source
 from headway.models.machine import load_machine
 
@@ -43,11 +43,8 @@ class Machine:
         said += ["machine.axes.0.acceleration_limit_rad_per_s2=60"] if name == "arm2" else []
         config = load_config(CONFIGS / f"{name}.yaml", said)
         machine = load_machine(CONFIGS / config.machine.model)
-        knots = config.mpc.horizon_us // config.loop.knot_us
-        law = ServoLaw.of(config.machine.axes)
-        self.prediction = Prediction(machine, law, config.mpc.intervals, knots)
-        task = task_reference(config, CONFIGS)
-        costs = task.costs(machine) if isinstance(task, Custom) else None
+        self.prediction = Prediction.of(config, machine)
+        costs = own_costs(task_reference(config, CONFIGS), machine)
         self.program = Program(config, self.prediction, costs)
         self.n, self.nodes = self.prediction.n, config.mpc.intervals + 1
 

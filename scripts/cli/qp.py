@@ -162,17 +162,14 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
     import numpy as np
 
     from headway.controller.nlp import converged
-    from headway.controller.prediction import Prediction, ServoLaw
+    from headway.controller.prediction import Prediction
     from headway.controller.program import Program
-    from headway.controller.reference import Custom, task_reference
+    from headway.controller.reference import own_costs, task_reference
     from headway.models.machine import load_machine
 
     machine = load_machine(Path(config.machine.model), config.machine.coupling)
-    knots = config.mpc.horizon_us // config.loop.knot_us
-    law = ServoLaw.of(config.machine.axes)
-    prediction = Prediction(machine, law, config.mpc.intervals, knots)
-    task = task_reference(config, Path())
-    costs = task.costs(machine) if isinstance(task, Custom) else None
+    prediction = Prediction.of(config, machine)
+    costs = own_costs(task_reference(config, Path()), machine)
     program = Program(config, prediction, costs)
     done = _answer(program, given)
     shape = program.pool["x"].shape
@@ -183,7 +180,7 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
         "cost": program.cost(program.pool["z"][:, 0]),
     }  # fmt: skip
     if nlp:
-        z, said = converged(program, machine, law, costs)
+        z, said = converged(program, machine, prediction.law, costs)
         n = len(given.d)
         step = (program.pool["z"][:, 0] - z) * program.ocp.column_scale
         of_x = step[program.ocp.states].reshape(shape, order="F")

@@ -148,29 +148,25 @@ def forgotten(b: Bench) -> None:
 
 
 def torques(b: Bench) -> None:
+    def stop_at(position: int, torque_tq: int) -> None:
+        _let_go(b, torque_tq)
+        b.set(speed_q16=0, position=position)
+        b.run(1)
+        _order(b, "STOP")
+        _align(b, 50)
+        b.run(3)
+        b.hear()
+        b.go(20)
+
     for sign in (1, -1):
         b.scene(f"beyond the torque limit by its pull, {sign}: a stop holds with no more", IDLE)
         made = settings()
         made.monitor.following_pq = 480 * COUNT_PQ
         b.adjust(made)
-        _let_go(b, sign * 400_000)
-        b.set(speed_q16=0, position=321 - sign * 300)
-        b.run(1)
-        _order(b, "STOP")
-        _align(b, 50)
-        b.run(3)
-        b.hear()
-        b.go(20)
+        stop_at(321 - sign * 300, sign * 400_000)
         b.scene(f"the same from the other side, {sign}", IDLE)
         b.adjust(made)
-        _let_go(b, sign * 400_000)
-        b.set(speed_q16=0, position=321 + sign * 300)
-        b.run(1)
-        _order(b, "STOP")
-        _align(b, 50)
-        b.run(3)
-        b.hear()
-        b.go(20)
+        stop_at(321 + sign * 300, sign * 400_000)
     b.scene("all torque downwards, and an integral on top of it", IDLE)
     b.set(pull_q16=100 * 65536 // PERIOD_US)
     _let_go(b, -TORQUE_MAX)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from grid.reply import Reply, Watch
 from headway.configs.schema import Config
-from headway.controller.prediction import Prediction, ServoLaw
+from headway.controller.prediction import Prediction
 from headway.controller.program import Program
 from headway.models.machine import Machine
 
@@ -18,10 +18,7 @@ class Ours:
     """A backend, without encoding: acados has no tracks to make."""
 
     def __init__(self, config: Config, machine: Machine) -> None:
-        knots = config.mpc.horizon_us // config.loop.knot_us
-        law = ServoLaw.of(config.machine.axes)
-        prediction = Prediction(machine, law, config.mpc.intervals, knots)
-        self.program = Program(config, prediction)
+        self.program = Program(config, Prediction.of(config, machine))
         self._solved = 1 if config.mpc.backend == "osqp" else 0
 
     def close(self) -> None:
