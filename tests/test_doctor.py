@@ -48,7 +48,7 @@ def test_the_doctor_measures_and_writes(tmp_path: Path, capsys: pytest.CaptureFi
     text = CONFIG.read_text().replace("../models", str(CONFIGS.parent / "models"))
     path = tmp_path / "arm.yaml"
     path.write_text(text)
-    words = ["--spawn", "--duration", "0.3", "--realtime-factor", "0.5", "--write"]
+    words = ["--spawn", "--duration", "0.3", "--realtime-factor", "0.1", "--write"]
     assert main(["doctor", str(path), "--set", "sync.limit_us=5000", *words]) == 0
     told = capsys.readouterr().out
     for what in ("wake-up", "compute", "round trip, q1", "round trip, q2", "smallest safe margin"):
@@ -56,6 +56,22 @@ def test_the_doctor_measures_and_writes(tmp_path: Path, capsys: pytest.CaptureFi
     margin_us = load_config(path).loop.margin_us
     assert margin_us % 4096 == 0 and f"loop.margin_us is {margin_us}" in told
     assert path.read_text() == text.replace("margin_us: 12288", f"margin_us: {margin_us}")
+
+
+def test_a_margin_that_no_config_may_have_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a computer that stands still for a quarter of a second, say."""
+    text = CONFIG.read_text().replace("../models", str(CONFIGS.parent / "models"))
+    path = tmp_path / "arm.yaml"
+    path.write_text(text)
+    slow = measured(250_000.0, [4500.0, 4500.0])
+    monkeypatch.setattr("headway.cli.measure.measure", lambda *_: slow)
+    assert main(["doctor", str(path), "--spawn", "--write"]) == 3
+    told = capsys.readouterr()
+    assert "too slow: 253952 us would be needed" in told.err
+    assert "must be a whole number from 1024 to 200000" in told.err
+    assert path.read_text() == text
 
 
 def test_frames_that_are_missing_are_counted() -> None:

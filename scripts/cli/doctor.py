@@ -93,6 +93,7 @@ def doctor(
     _show(checked, measured, margin_us)
     if measured.failure:
         print(f"the task broke off: {measured.failure}", file=sys.stderr)
+    _require_possible(config, changes, margin_us)
     if write:
         _write(config, margin_us)
         print(f"written to {config}: loop.margin_us is {margin_us}")
@@ -161,6 +162,17 @@ def _show(config: Config, measured: Measured, margin_us: int) -> None:
     )
     now_us = config.loop.margin_us
     console.print(f"smallest safe margin: {margin_us} us; loop.margin_us is {now_us}")
+
+
+def _require_possible(path: Path, changes: list[str], margin_us: int) -> None:
+    """Raises Failure for a margin that the config may not have, before anything is written."""
+    from headway.configs.load import ConfigError, load_config
+
+    try:
+        load_config(path, [*changes, f"loop.margin_us={margin_us}"])
+    except ConfigError as error:
+        what = f"this computer and these links are too slow: {margin_us} us would be needed"
+        raise Failure(ExitCode.LIMIT, f"{what}, and that is refused:\n{error}") from error
 
 
 def _write(path: Path, margin_us: int) -> None:
