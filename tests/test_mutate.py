@@ -363,6 +363,28 @@ int clip(int value, int limit) {
     assert shown[0] in ("survived", "equivalent")
 
 
+def test_what_the_optimizer_finds_to_be_the_same_program_is_equivalent(tmp_path: Path) -> None:
+    """A number without its sign is 0 where it is not above it; -O1 does not see that."""
+    code = """#include "clip.h"
+int clip(int value, int limit) {
+    int low = limit & 7;
+    int least = value;
+    if (low == 0)
+        least = limit;
+    return least;
+}
+"""
+    tree = Tree(tmp_path, code, vectors="1 5 1\n7 8 8\n1 -8 -8\n1 -1 1\n9 1 9\n")
+    found = [r["outcome"] for r in tree.results() if r["mutation"] == "== -> <="]
+    assert found == ["equivalent"]
+    source, objects = tmp_path / "firmware" / "clip.c", []
+    for text in (code, code.replace("low ==", "low <=")):
+        source.write_text(text)
+        subprocess.run(["cc", "-O1", "-c", source, "-o", tmp_path / "clip.o"], check=True)
+        objects.append((tmp_path / "clip.o").read_bytes())
+    assert objects[0] != objects[1]
+
+
 def test_what_only_a_sanitizer_sees_is_killed(tmp_path: Path) -> None:
     kept = "    volatile int even = value / 2 * 2;\n    (void)even;\n    int least"
     code = CLIP.replace("    int least", kept)

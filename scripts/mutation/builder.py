@@ -12,6 +12,7 @@ from pathlib import Path
 # What a C compiler lets pass with a warning, and what no change that matters would look like.
 ILL_TYPED = ("-Werror=int-conversion", "-Werror=incompatible-pointer-types")
 PLAIN = ("-O1",)
+OPTIMIZED = ("-O3",)
 SANITIZE = ("-O1", "-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all")
 HANG_S = 60  # of wall-clock time, for what waits without using the processor
 

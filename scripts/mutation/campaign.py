@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Queue
 
 from accepted import Key, numbered
-from builder import PLAIN, SANITIZE, Build, BuildError
+from builder import OPTIMIZED, PLAIN, SANITIZE, Build, BuildError
 from operators import Mutant, Mutator, enumerations
 from tokens import Source
 
@@ -70,14 +70,24 @@ def cases(root: Path, file: str) -> list[Case]:
 
 @dataclass(frozen=True)
 class Judge:
-    """A judge without sanitizers, for most, and one with them for what that one lets live."""
+    """A judge without sanitizers, for most, and one with them for what that one lets live.
+
+    What both let live is compiled once more, with all optimizations: where these come to the same
+    code, the compiler has proved that the mutant is no other program (trivial compiler equivalence,
+    Papadakis et al., ICSE 2015).
+    """
 
     plain: Build
     sanitized: Build
+    optimized: Build
 
     def copy(self, folder: Path) -> Judge:
         """Another one, for another thread."""
-        return Judge(self.plain.copy(folder / "plain"), self.sanitized.copy(folder / "sanitized"))
+        return Judge(
+            self.plain.copy(folder / "plain"),
+            self.sanitized.copy(folder / "sanitized"),
+            self.optimized.copy(folder / "optimized"),
+        )
 
     def try_out(self, case: Case, vectors: Sequence[Path]) -> Result:
         """Compiles one mutant and judges it."""
@@ -89,6 +99,10 @@ class Judge:
             if not by:
                 with _changed(self.sanitized, case):
                     by = self.sanitized.judge(self.sanitized.link(), vectors)
+            if not by:
+                with _changed(self.optimized, case) as differs:
+                    if not differs:
+                        return Result(case, EQUIVALENT)
         except BuildError as error:
             return Result(case, BROKEN, str(error))
         return Result(case, KILLED if by else SURVIVED, by)
@@ -129,6 +143,7 @@ def run(
         first = Judge(
             Build(root, folder / "0" / "plain", PLAIN),
             Build(root, folder / "0" / "sanitized", SANITIZE, cpu_s=20),
+            Build(root, folder / "0" / "optimized", OPTIMIZED),
         )
         for build in (first.plain, first.sanitized):
             if by := build.judge(build.link(), kept):
