@@ -389,7 +389,7 @@ def test_a_config_from_init_is_complete() -> None:
     """It names every weight and noise that depends on the machine: none is left to arm2 alone."""
     assert main(["init", str(MODELS["scara"])]) == 0
     tree = YAML(typ="safe").load(Path("scara.yaml").read_text())
-    scalars = {"enabled", "feedforward", "fade_start", "fade_end", "torque_share_end", "backend"}
+    scalars = {"enabled", "feedforward", "fade_start", "fade_end", "torque_share_end"}
     scalars |= {
         "max_iterations",
         "sqp_iterations",

@@ -97,6 +97,8 @@ def _mpc(draft: Draft) -> list[str]:
         _line("  ", "torque_step_weight", _list(weights.torque_step), BY_AXIS),
         _line("  ", "torque_start_weight", _list(weights.torque_start), BY_AXIS),
         _line("  ", "soft_weight", _list(weights.soft), BY_AXIS),
+        # OSQP, the default, is at its cap in most ticks from four axes on.
+        _line("  ", "backend", "riccati", ""),
     ]
 
 
