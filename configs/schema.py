@@ -225,6 +225,37 @@ class Task(Section):
         return self
 
 
+class Weighing(Section):
+    """Other weights, from some time of the task on. What is not given stays as it was before."""
+
+    from_s: Positive
+    """Of the task: the first plan that begins then has them."""
+    position_weight: ByAxis | None = None
+    """As in mpc."""
+    velocity_weight: ByAxis | None = None
+    """As in mpc."""
+    torque_step_weight: ByAxis | None = None
+    """As in mpc."""
+    torque_start_weight: ByAxis | None = None
+    """As in mpc."""
+    soft_weight: ByAxis | None = None
+    """As in mpc."""
+    parameters: dict[str, Finite] = Field(default={})
+    """As in task: of the file of a custom task."""
+
+    @property
+    def weights(self) -> dict[str, ByAxis]:
+        """Those that are given, by name."""
+        given = self.model_dump(exclude={"from_s", "parameters"}, exclude_none=True)
+        return dict(given)
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Weighing:
+        if not self.weights and not self.parameters:
+            raise ValueError("changes nothing: give a weight or parameters beside from_s")
+        return self
+
+
 class Mpc(Section):
     """The optimal control problem's horizon and weights."""
 
@@ -265,6 +296,18 @@ class Mpc(Section):
     """Programs a tick, each linearized around the answer of the last. One is the real-time
     iteration; each more costs as much again, after the estimate has come.
     """
+    later: list[Weighing] = Field(default=[])
+    """Other weights while the task runs, by the time from which on they hold."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Mpc:
+        for i, (one, next_one) in enumerate(pairwise(self.later)):
+            if next_one.from_s <= one.from_s:
+                raise ValueError(
+                    f"later.{i + 1}.from_s is {next_one.from_s:g}, not after {one.from_s:g} before "
+                    "it: put them in the order of time"
+                )
+        return self
 
 
 class Estimator(Section):
@@ -505,10 +548,18 @@ class Config(Section):
             "sim.plant.coulomb_Nm_or_N": self.sim.plant.coulomb_Nm_or_N,
             "sim.start_rad_or_m": self.sim.start_rad_or_m,
         }
+        for i, later in enumerate(self.mpc.later):
+            lists |= {f"mpc.later.{i}.{key}": value for key, value in later.weights.items()}
         mistakes = [
             f"{key} has {len(value)} entries; the machine has {n} axes"
             for key, value in lists.items()
             if isinstance(value, list) and len(value) != n
+        ]
+        mistakes += [
+            f"mpc.later.{i}.parameters is for custom tasks, and this one is of the kind "
+            f"{self.task.kind}: leave it out"
+            for i, later in enumerate(self.mpc.later)
+            if later.parameters and self.task.kind != "custom"
         ]
         if self.mpc.fade_start >= self.mpc.fade_end:
             mistakes.append("mpc.fade_start must be below mpc.fade_end")
@@ -542,6 +593,17 @@ class Config(Section):
         if mistakes:
             raise ValueError("; ".join(mistakes))
         return self
+
+    @property
+    def weighings(self) -> list[Config]:
+        """This config, and what each of mpc.later in turn makes of it."""
+        found = [self]
+        for later in self.mpc.later:
+            mpc, task = found[-1].mpc, found[-1].task
+            mpc = mpc.model_copy(update=later.weights)
+            task = task.model_copy(update={"parameters": task.parameters | later.parameters})
+            found.append(self.model_copy(update={"mpc": mpc, "task": task}))
+        return found
 
     def _of_cables(self, joints: list[str]) -> list[str]:
         """What does not fit together about the cables between boards."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.controller.equations import Equations
-from headway.controller.objective import Costs
 from headway.controller.prediction import ServoLaw, interval
 from headway.controller.program import Program
 from headway.models.codegen import among
@@ -23,12 +22,10 @@ from headway.models.machine import Machine
 Array = NDArray[np.float64]
 
 
-def converged(
-    program: Program, machine: Machine, law: ServoLaw, costs: Costs | None = None
-) -> tuple[Array, str]:
+def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array, str]:
     """The solution in the variables of the last program, from whose answer it starts, and IPOPT's
-    own word. `costs`: the task's own, if the program has them."""
-    ocp, pool, n = program.ocp, program.pool, program.ocp.n
+    own word."""
+    ocp, pool, n, costs = program.ocp, program.pool, program.ocp.n, program.ocp.costs
     step = interval(Equations(machine.tree))
     z = ca.MX.sym("z", ocp.size)
     whole = z * ocp.column_scale

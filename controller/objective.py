@@ -11,8 +11,8 @@ from __future__ import annotations
 import ast
 import inspect
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +48,15 @@ class Symbols:
     share             of the horizon that has passed at the node: 0 to 1
     """
 
-    def __init__(self, machine: Machine, target: Array, parameters: Mapping[str, float]) -> None:
+    def __init__(
+        self, machine: Machine, target: Array, parameters: Sequence[Mapping[str, float]]
+    ) -> None:
         n = machine.tree.count
         self.q, self.v = ca.SX.sym("q", n), ca.SX.sym("v", n)
         self.target, self.time_s = ca.SX(target), ca.SX.sym("time_s")
         self.share = ca.SX.sym("share")
         self._machine, self._given = machine, parameters
-        self.parameters: dict[str, tuple[Any, float]] = {}
+        self.parameters: dict[str, tuple[Any, list[float]]] = {}
         self.kept_below: list[tuple[Term, int]] = []  # and the line that said so
 
     @property
@@ -68,15 +70,17 @@ class Symbols:
         return ca.vertcat(*(symbol for symbol, _ in self.parameters.values()), ca.SX(0, 1))
 
     @property
-    def values(self) -> Array:
-        """What they are (p,)."""
-        return np.array([value for _, value in self.parameters.values()])
+    def values(self) -> list[Array]:
+        """What they are (p,), and what they become."""
+        of_each = [values for _, values in self.parameters.values()]
+        return [np.array([values[i] for values in of_each]) for i in range(len(self._given))]
 
     def parameter(self, name: str, default: float) -> Any:
-        """A number that task.parameters may give another value, without compiling anew."""
+        """A number that task.parameters may give another value, without compiling anew, and
+        mpc.later one after the other while the task runs."""
         if name not in self.parameters:
-            value = float(self._given.get(name, default))
-            self.parameters[name] = ca.SX.sym(name), value
+            values = [float(given.get(name, default)) for given in self._given]
+            self.parameters[name] = ca.SX.sym(name), values
         return self.parameters[name][0]
 
     def keep_below(self, expression: Any, weight: Any) -> None:
@@ -105,18 +109,29 @@ class Costs:
     """A task's costs at one node as a function, and the values of its parameters.
 
     Both functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
-    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself.
+    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself. `later` are
+    the parameters' values after each of mpc.later.
     """
 
     function: ca.Function
     value: ca.Function
     parameters: Array
+    later: tuple[Array, ...] = ()
+
+    def after(self, changes: int) -> Costs:
+        """With the parameters after so many of mpc.later."""
+        return replace(self, parameters=(self.parameters, *self.later)[changes], later=())
 
 
 def read_costs(
-    source: Path, machine: Machine, target: Array, parameters: Mapping[str, float]
+    source: Path,
+    machine: Machine,
+    target: Array,
+    parameters: Mapping[str, float],
+    *later: Mapping[str, float],
 ) -> Costs:
-    """Runs the user's file, which can do whatever a program of the user's can.
+    """Runs the user's file, which can do whatever a program of the user's can. `later`: what the
+    parameters are after each of mpc.later.
 
     Raises ValueError with the line of what is wrong: what cannot be run, is no list of terms, has
     another shape, is not a number somewhere or has no slope.
@@ -125,19 +140,19 @@ def read_costs(
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeError) as error:
         raise ValueError(f"task.file: {source}: cannot be read: {error}") from error
-    symbols = Symbols(machine, target, parameters)
+    symbols = Symbols(machine, target, [parameters, *later])
     returned = _run(source, text, symbols)
     lines = _lines(text)
     if not isinstance(returned, list | tuple):
         words = f"returns {_a(returned)}, not a list of terms: each is (residual, weight)"
         raise _wrong(source, lines[0], words)
-    unknown = sorted(set(parameters) - set(symbols.parameters))
-    if unknown:
-        known = ", ".join(symbols.parameters) or "none"
-        raise ValueError(
-            f"task.parameters has {', '.join(unknown)}, which {source} does not ask for; it asks "
-            f"for: {known}"
-        )
+    for given, key in ((set(parameters), "task.parameters"), (set().union(*later), "mpc.later")):
+        if unknown := sorted(given - set(symbols.parameters)):
+            known = ", ".join(symbols.parameters) or "none"
+            raise ValueError(
+                f"{key} has {', '.join(unknown)}, which {source} does not ask for; it asks for: "
+                f"{known}"
+            )
     places = dict(enumerate(lines[1:]))
     checked = [
         _checked(source, places.get(i, lines[0]), symbols, f"term {i}", term)
@@ -165,7 +180,7 @@ def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
     return Costs(
         named_function("costs", inputs, outputs),
         named_function("value", inputs, {"value": value}),
-        symbols.values,
+        *(symbols.values[0], tuple(symbols.values[1:])),
     )
 
 
@@ -238,7 +253,8 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
     rng, n = np.random.default_rng(0), symbols.q.numel()
     for trial in range(TRIALS):
         state = np.zeros(2 * n) if trial == 0 else rng.uniform(-np.pi, np.pi, 2 * n)
-        found = function(state, rng.uniform(0, 10), rng.uniform(), symbols.values)
+        values = symbols.values[trial % len(symbols.values)]
+        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
         if not all(np.isfinite(np.array(part)).all() for part in found):
             at = ", ".join(f"{value:.4g}" for value in state)
             words = f"{name} is not a number, or has no slope, at [q, v] = [{at}]"
@@ -259,7 +275,7 @@ def _require_no_jump(
     rng, size = np.random.default_rng(1), 2 * symbols.q.numel()
 
     def at(state: Array, time_s: float, share: float) -> Array:
-        return np.array(function(state, time_s, share, symbols.values)[0])[:, 0]
+        return np.array(function(state, time_s, share, symbols.values[0])[0])[:, 0]
 
     for _ in range(WAYS):
         begin, end = rng.uniform(-np.pi, np.pi, (2, size))

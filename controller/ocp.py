@@ -105,7 +105,7 @@ class Ocp:
     """
 
     def __init__(self, config: Config, limits: Limits, costs: Costs | None = None) -> None:
-        mpc, self._costs = config.mpc, costs
+        mpc, self.costs = config.mpc, costs
         n = self.n = len(config.machine.axes)
         self.driven = list(config.machine.driven)
         w = len(self.driven)
@@ -149,7 +149,7 @@ class Ocp:
             "approach_s": limits.approach_s[:, None],
             "column_scale": self.column_scale[:, None],
             "row_scale": self.row_scale[:, None],
-            "costs": np.empty((0, 1)) if self._costs is None else self._costs.parameters[:, None],
+            "costs": np.empty((0, 1)) if self.costs is None else self.costs.parameters[:, None],
         }
 
     def _scale(self) -> None:
@@ -207,7 +207,7 @@ class Ocp:
 
     def _curvature_entries(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rows and columns of the upper half of each state's block, as far as it may be filled."""
-        if self._costs is None:
+        if self.costs is None:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         row, column = np.triu_indices(2 * self.n)
         first = 2 * self.n * np.arange(self.intervals + 1)[:, None]
@@ -306,16 +306,16 @@ class Ocp:
         square    the curvature to the Hessian's entries
         """
         common = [self._assemble(), self._vectors(), self._judge(knots)]
-        return common if self._costs is None else [*common, self._weigh(), self._square()]
+        return common if self.costs is None else [*common, self._weigh(), self._square()]
 
     def _weigh(self) -> ca.Function:
         """x (2n, N+1): the guess; time_s (1, N+1) of the task at the nodes; to curvature
         (2n, 2n(N+1)) and slope (2n, N+1)."""
-        assert self._costs is not None
+        assert self.costs is not None
         nodes, p = self.intervals + 1, self._parameters()
         x, time_s = ca.MX.sym("x", 2 * self.n, nodes), ca.MX.sym("time_s", 1, nodes)
         share = ca.DM(np.linspace(0, 1, nodes)).T
-        every = self._costs.function.map("every", "serial", nodes, [3], [])
+        every = self.costs.function.map("every", "serial", nodes, [3], [])
         curvature, slope = every(x, time_s, share, p["costs"])
         inputs = {"x": x, "time_s": time_s, "parameters": self._vector}
         return named_function("weigh", inputs, {"curvature": curvature, "slope": slope})
@@ -395,8 +395,8 @@ class Ocp:
         none = ca.MX(w, 1)
         steps = ca.horzcat(none, step) - ca.horzcat(step, none) + TORQUE_FLOOR * u
         torque = steps * p["step_weight"] + ends * p["start_weight"]
-        slope = ca.MX.sym("slope", 2 * n, 0 if self._costs is None else count + 1)
-        own = ca.MX(error.shape[0], error.shape[1]) if self._costs is None else slope
+        slope = ca.MX.sym("slope", 2 * n, 0 if self.costs is None else count + 1)
+        own = ca.MX(error.shape[0], error.shape[1]) if self.costs is None else slope
         gradient = ca.vertcat(ca.vec(2 * error + own), 2 * ca.vec(torque), ca.MX(n, 1))
         inputs = {
             "x": x, "u": linearized, "after": after, "assumed": assumed,

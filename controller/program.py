@@ -8,6 +8,8 @@ Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005).
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +37,29 @@ STAGES_TOLERANCE = 1e-4  # of the interior-point methods, in scaled units
 STAGES_ITERATIONS = 30
 
 
+# Arrays that weights, limits and scales go into.
+OWN = {
+    "parameters", "constant", "scale", "entries", "square_constant", "square_scale",
+    "square_entries",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """The program with some weights. `pool` has its arrays by name: what one function writes others
+    read, and all weighings share them but for their OWN."""
+
+    ocp: Ocp
+    pool: dict[str, Array]
+    tick: Tick
+
+
 class Program:
     """The problem of one tick in arrays that stay where they are; ocp.py says what each is.
 
-    `pool` has them by name: what one function writes others read. `tick` is the two calls. `costs`:
-    of the task's own. With `encoding` an answer that is accepted is encoded at once, from the
-    arrays of `encoded`.
+    `tick` is the two calls. `costs`: of the task's own. With `encoding` an answer that is accepted
+    is encoded at once, from the arrays of `encoded`. What mpc.later brings is ready from the
+    beginning: other weights are another `Weighing`, and nothing is compiled for them.
     """
 
     def __init__(
@@ -51,46 +70,75 @@ class Program:
         encoding: Encoding | None = None,
         encoded: dict[str, Array] | None = None,
     ) -> None:
-        ocp, n = Ocp(config, Limits.of(config), costs), prediction.n
-        self.ocp, knots = ocp, config.mpc.horizon_us // config.loop.knot_us
-        self._library = compile_functions("mpc", ocp.functions(knots))
-        x, u = (np.zeros((rows, ocp.intervals + 1), order="F") for rows in (2 * n, n))
-        self.pool = pool = {"x": x, "u": u, "x0": x[:, :-1], "u0": u[:, :-1], "u1": u[:, 1:]}
-        pool["time_s"] = np.zeros((1, ocp.intervals + 1), order="F")
+        n, nodes = prediction.n, config.mpc.intervals + 1
+        x, u = (np.zeros((rows, nodes), order="F") for rows in (2 * n, n))
+        pool = {"x": x, "u": u, "x0": x[:, :-1], "u0": u[:, :-1], "u1": u[:, 1:]}
+        pool["time_s"] = np.zeros((1, nodes), order="F")
         if encoded is not None:
             pool |= {name: encoded[name] for name in ("position", "velocity", "torque")}
             pool["start"] = encoded["x"]
-        pool["parameters"] = ocp.parameters[:, None]
         self.linearize = prediction.call("linearize", pool)
-        pool["dt"][...] = ocp.interval_s
-        self._vectors, self._judge = (
-            Call(self._library, name, pool) for name in ("vectors", "judge")
-        )
+        self._weighings: list[Weighing] = []
+        for i, weighed in enumerate(config.weighings):
+            ocp = Ocp(weighed, Limits.of(weighed), costs and costs.after(i))
+            if i == 0:
+                pool["dt"][...] = ocp.interval_s
+                knots = config.mpc.horizon_us // config.loop.knot_us
+                self._library = compile_functions("mpc", ocp.functions(knots))
+            pool = {name: array for name, array in pool.items() if name not in OWN}
+            self._weighings.append(self._weighing(weighed, ocp, pool, encoding))
+        self._from_s = [later.from_s for later in config.mpc.later]
+        self._now = self._weighings[0]
+
+    def _weighing(
+        self, config: Config, ocp: Ocp, pool: dict[str, Array], encoding: Encoding | None
+    ) -> Weighing:
+        """In the arrays of `pool`, which gets those that it lacks."""
+        pool["parameters"] = ocp.parameters[:, None]
+        vectors, judge = (Call(self._library, name, pool) for name in ("vectors", "judge"))
         before = [self.linearize.bound]
-        if costs is not None:
+        if ocp.costs is not None:
             before.append(Call(self._library, "weigh", pool).bound)
         if config.mpc.backend == "osqp":  # by stages it is not needed
             before.append(assembly(self._library, ocp, pool).bound)
-            if costs is not None:
+            if ocp.costs is not None:
                 before.append(squaring(self._library, ocp, pool).bound)
             solver = _osqp(config, ocp, pool)
         elif config.mpc.backend == "hpipm":
             solver = _hpipm(ocp, pool)
         else:
             solver = _riccati(ocp, pool)
-        answer = self._judge.bound, pool["residual"], encoding
+        answer = judge.bound, pool["residual"], encoding
         guess = (pool[name] for name in ("x", "u", "assumed", "around", "d"))
         sqp = config.mpc.sqp_iterations, ocp.driven
-        self.tick = Tick(
-            before, solver, self._vectors.bound, pool["z"], *answer, *sqp, ocp.column_scale, *guess
+        tick = Tick(
+            before, solver, vectors.bound, pool["z"], *answer, *sqp, ocp.column_scale, *guess
         )
+        return Weighing(ocp, pool, tick)
+
+    @property
+    def ocp(self) -> Ocp:
+        """Of the last `prepare`."""
+        return self._now.ocp
+
+    @property
+    def pool(self) -> dict[str, Array]:
+        """Of the last `prepare`: the arrays by their names."""
+        return self._now.pool
+
+    @property
+    def tick(self) -> Tick:
+        """Of the last `prepare`."""
+        return self._now.tick
 
     def prepare(self, x: Array, u: Array, disturbance: Array, node_s: Array | float = 0.0) -> None:
         """Linearizes along x (2n, N+1) and u (n, N+1) at the nodes, and factorizes.
 
-        disturbance: (n,), as far as it is known now; node_s: (N+1,) times of the task,
-        for costs of its own.
+        disturbance: (n,), as far as it is known now; node_s: (N+1,) times of the task, the first of
+        which says what weights hold.
         """
+        begin_s = node_s if isinstance(node_s, float) else node_s[0]
+        self._now = self._weighings[bisect_right(self._from_s, begin_s)]
         self.pool["x"][...], self.pool["u"][...], self.pool["time_s"][0] = x, u, node_s
         self.pool["assumed"][:, 0] = disturbance
         self.tick.prepare()

@@ -48,7 +48,8 @@ def task_reference(config: Config, folder: Path) -> TaskReference:
     if task.kind == "custom":
         assert task.file is not None and task.target_rad_or_m is not None
         source = (folder / task.file).resolve()
-        return Custom(source, np.array(task.target_rad_or_m), task.parameters)
+        parameters = [weighed.task.parameters for weighed in config.weighings]
+        return Custom(source, np.array(task.target_rad_or_m), *parameters)
     if task.file is not None and task.tool is not None:
         return _of_tool(config, folder, task.file, task.tool)
     if task.file is not None:
@@ -125,13 +126,13 @@ class Target:
 class Custom(Target):
     """Costs of the task's own, beside a position to be at."""
 
-    def __init__(self, source: Path, position: Array, parameters: dict[str, float]) -> None:
+    def __init__(self, source: Path, position: Array, *parameters: dict[str, float]) -> None:
         super().__init__(position)
         self._source, self._parameters = source, parameters
 
     def costs(self, machine: Machine) -> Costs:
         """Raises ValueError where the user's file is wrong."""
-        return read_costs(self._source, machine, self._position, self._parameters)
+        return read_costs(self._source, machine, self._position, *self._parameters)
 
 
 def own_costs(reference: Reference, machine: Machine) -> Costs | None:

@@ -56,6 +56,23 @@ def test_who_has_no_memory_says_of_every_tick_what_was_said_then(
         np.testing.assert_allclose(said, then, rtol=1e-4, atol=1e-6)
 
 
+def test_weights_that_came_later_are_those_of_its_tick(tmp_path: Path) -> None:
+    """A dump of a tick before and behind the change has the program that was solved then."""
+    later = "mpc.later=[{from_s: 0.6, position_weight: 1.0e5, torque_step_weight: 2}]"
+    replay = Replay(run := run_of(tmp_path / "run", "arm2.yaml", "mpc.backend=riccati", later))
+    names = "residual", "stationarity", "complementarity"
+    begins_s = np.array([replay.given(tick).node_s[0] for tick in range(replay.ticks)])
+    change = int(np.searchsorted(begins_s, 0.6))
+    diagonals = []
+    for tick in (change - 40, change - 1, change, change + 40):
+        program, said = solved(replay, replay.given(tick))
+        then = [float(run.arrays[f"solver_{name}"][replay.row(tick)]) for name in names]
+        np.testing.assert_allclose(said, then, rtol=1e-4, atol=1e-6)
+        unscaled = program.ocp.hessian.diagonal() / program.ocp.column_scale**2
+        diagonals.append(unscaled[0])
+    np.testing.assert_allclose(diagonals, [2e6, 2e6, 2e5, 2e5], rtol=1e-3)
+
+
 def test_programs_in_a_row_and_ipopt_find_the_same(folder: Path) -> None:
     replay = Replay(read_run(folder))
     mpc = replay.config.mpc.model_copy(update={"backend": "hpipm"})
@@ -94,7 +111,7 @@ def test_costs_of_a_tasks_own_are_part_of_both_problems(
     program, _ = solved(replay, replay.given(60), sqp_iterations=12)
     machine = load_machine(Path(replay.config.machine.model))
     law = ServoLaw.of(replay.config.machine.axes)
-    z, said = converged(program, machine, law, replay.costs)
+    z, said = converged(program, machine, law)
     assert said == "Solve_Succeeded"
     states = program.ocp.states
     away = (program.pool["z"][states, 0] - z[states]) * program.ocp.column_scale[states]

@@ -180,7 +180,7 @@ def _figures(config: Config, given: Given, nlp: bool) -> dict[str, Any]:
         "cost": program.cost(program.pool["z"][:, 0]),
     }  # fmt: skip
     if nlp:
-        z, said = converged(program, machine, prediction.law, costs)
+        z, said = converged(program, machine, prediction.law)
         n = len(given.d)
         step = (program.pool["z"][:, 0] - z) * program.ocp.column_scale
         of_x = step[program.ocp.states].reshape(shape, order="F")
