@@ -189,7 +189,7 @@ class Loop:
         self._enter_anew(tick.commit, commit_knot)
         began = time.perf_counter()
         plan = self._plan(tick, commit_knot)
-        passed = plan is not None and self._passes(*plan, commit_knot)
+        passed = plan is not None and self._passes(tick.now_us, *plan, commit_knot)
         tick.encode_us = (time.perf_counter() - began) * 1e6
         if tick.solution is not None:
             tick.encode_us -= tick.solution.solve_us
@@ -310,17 +310,22 @@ class Loop:
         rows = (motion.position, motion.velocity, motion.torque)
         return Motion(*(of.take(knots, axis=0, mode="clip") for of in rows))
 
-    def _passes(self, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
-        """The same gate as on the device; and a roll-out that is a motion."""
+    def _passes(self, now_us: int, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
+        """The same gate as on the device, whose first refusal is noted; and a roll-out that is a
+        motion."""
         if not _finite(rolled):
             return False
         first = commit_knot - 1
-        for remote, limits, plan in zip(self._moved, self._limits, points, strict=True):
+        moved = zip(self._driven, self._moved, self._limits, points, strict=True)
+        for axis, remote, limits, plan in moved:
             for sink in self._sinks:
                 result = core.gate_check_track(
                     limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
                 )
                 if result != "accepted":
+                    self._recorder.add(
+                        ("refused", now_us, (axis, sink, core.GATE_RESULTS.index(result)))
+                    )
                     return False
         return True
 

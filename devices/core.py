@@ -2,6 +2,7 @@
 
 from headway.firmware._core import (
     COAST_KNOTS,
+    GATE_RESULTS,
     LIVE_KNOTS,
     PLAN_POINTS_MAX,
     STATES,
@@ -19,6 +20,7 @@ from headway.firmware._core import (
 
 __all__ = [
     "COAST_KNOTS",
+    "GATE_RESULTS",
     "LIVE_KNOTS",
     "PLAN_POINTS_MAX",
     "STATES",

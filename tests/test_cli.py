@@ -19,10 +19,13 @@ from processes import ticks_in
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
-from headway.controller import program
+from headway.configs.axis import DrivenAxis
+from headway.controller import loop, program
 from headway.controller._tick import Tick
 from headway.controller.record.channels import CHANNELS
 from headway.controller.record.reader import read_run
+from headway.devices import core
+from headway.devices.axis import AxisUnits
 from headway.sim.lockstep import Lockstep
 
 ARM2 = Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml"
@@ -251,6 +254,34 @@ def test_no_plan_passes(
     monkeypatch.setattr("headway.controller.loop.Loop._passes", lambda *_: False)
     assert main(["run", str(ARM2), "--duration", "0.6"]) == 3
     assert "headway check" in capsys.readouterr().err
+
+
+def test_what_the_gate_here_refuses_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the axis, the track and the check, in the record, the summary and the table."""
+    whole = loop.position_limits
+
+    def slower(axis: DrivenAxis, units: AxisUnits) -> core.GateLimits:
+        own = whole(axis, units)
+        speed = own.difference_max // (10 if axis.joint == "q2" else 1)
+        rest = own.second_difference_max, own.stop_difference
+        return core.GateLimits(own.point_min, own.point_max, speed, *rest)
+
+    monkeypatch.setattr(loop, "position_limits", slower)
+    assert main(["run", str(ARM2), "--duration", "1.5", "--json", "--out", "out"]) in (0, 3)
+    solver = json.loads(capsys.readouterr().out)["solver"]
+    arrays = read_run(Path("out")).arrays
+    counts, wanted = solver["refused_by_gate"], "q2: position, speed"
+    rows = zip(*(arrays[f"refused_{row}"] for row in ("axis", "sink", "result")), strict=True)
+    told = [tuple(row) for row in rows]
+    assert next(iter(counts)) == wanted and 20 < sum(counts.values()) <= solver["rejected"]
+    assert told.count((1, 0, core.GATE_RESULTS.index("speed"))) == counts[wanted]
+    assert len(told) == sum(counts.values())
+    rejected_us = arrays["tick_us"][~arrays["tick_accepted"]]
+    assert np.isin(arrays["refused_us"], rejected_us).all()
+    assert main(["run", str(ARM2), "--duration", "1.5"]) in (0, 3)
+    assert "rejected by the gate here: q2: position, speed (" in capsys.readouterr().out
 
 
 def test_limit_violated(capsys: pytest.CaptureFixture[str]) -> None:

@@ -135,9 +135,9 @@ def test_a_machine_that_came_to_rest_is_led_back(frequency_Hz):
     lockstep = Lockstep(config, CONFIGS)
     loop, passes = lockstep.loop, lockstep.loop._passes
 
-    def passes_but_for_a_while(points, rolled, commit_knot):
+    def passes_but_for_a_while(now_us, points, rolled, commit_knot):
         commit_s = lockstep.task_s(commit_knot * config.loop.knot_us)
-        return passes(points, rolled, commit_knot) and not 1.5 < commit_s < 1.8
+        return passes(now_us, points, rolled, commit_knot) and not 1.5 < commit_s < 1.8
 
     loop._passes = passes_but_for_a_while
     lockstep.run()

@@ -23,6 +23,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from headway.configs.load import load_config
 from headway.configs.save import save_config
+from headway.configs.schema import Config
 from headway.controller.record import recording as recording_module
 from headway.controller.record.channels import CHANNELS
 from headway.controller.record.columns import Arrays
@@ -32,19 +33,30 @@ from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.record.recording import Recording
 from headway.controller.record.rows import rows
 from headway.controller.record.target import About, Target
+from headway.devices import core
 from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 ABOUT = About("name: arm2 # at 25 °C\n", 7, {"headway": "0.1", "numpy": "2"})
 
 
-@pytest.fixture(scope="module")
-def lockstep() -> Lockstep:
-    """A run with all kinds of rows: lost packets, outliers, ticks that are too late."""
-    overrides = ["duration_s=1.2", "sim.outlier_share=0.02", "sim.stall_host_at_s=0.7"]
-    lockstep = Lockstep(load_config(CONFIGS / "arm2.yaml", overrides), CONFIGS)
+def fussy(config: Config, recorder: Recorder | None = None) -> Lockstep:
+    """A run whose own gate refuses what is fast of q2."""
+    lockstep = Lockstep(config, CONFIGS, recorder)
+    of_q2 = lockstep.loop._limits[1]
+    own = of_q2[core.TRACK_POSITION]
+    rest = own.second_difference_max, own.stop_difference
+    slow = core.GateLimits(own.point_min, own.point_max, own.difference_max // 5, *rest)
+    of_q2[core.TRACK_POSITION] = slow
     lockstep.run()
     return lockstep
+
+
+@pytest.fixture(scope="module")
+def lockstep() -> Lockstep:
+    """A run with all kinds of rows: lost packets, outliers, ticks that are too late, refusals."""
+    overrides = ["duration_s=1.2", "sim.outlier_share=0.02", "sim.stall_host_at_s=0.7"]
+    return fussy(load_config(CONFIGS / "arm2.yaml", overrides))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +104,7 @@ def test_file_and_memory_are_the_same(memory: Memory, file: Path) -> None:
 def test_a_recorded_run_is_the_run(memory: Memory, lockstep: Lockstep, tmp_path: Path) -> None:
     """The writer changes nothing: same config, same hash."""
     with Recording(tmp_path / "run.mcap", ABOUT) as recording:
-        Lockstep(lockstep.config, CONFIGS, recording).run()
+        fussy(lockstep.config, recording)
     assert recording.sha256() == memory.sha256()
     told = {key: array for key, array in memory.arrays().items() if not key.startswith("timing_")}
     assert same({key: recording.arrays()[key] for key in told}, told)

@@ -198,6 +198,13 @@ _ALL = (
         Field("torque", "double vector", _EFFORT, "that holds them there"),
     ),
     _channel(
+        "refused",
+        "The host's own gate refuses a tick's new plan: it is not sent",
+        Field("axis", "int", "", "the first that it refuses, by its index"),
+        Field("sink", "int", "", "the track: 0 position, 1 torque, 2 to 4 gains"),
+        Field("result", "int", "", "the check that failed, as in firmware/gate.h"),
+    ),
+    _channel(
         "end",
         "The simulated machine at rest: the run is over",
         Field("ticks", "int", "", "of the task"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -15,11 +16,13 @@ from headway.configs.schema import Config
 from headway.controller.loop import Loop
 from headway.controller.record.recorder import Recorder
 from headway.controller.reference import ENTRY_S, Reference
+from headway.devices import core
 from headway.devices.axis import AxisUnits, whole_turns
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Array]
 
+TRACKS = "position", "torque", "Kp", "Ki", "Kd"
 REST_WINDOW_S = 0.05  # at the very end
 # Mean speed over the window [rad/s, m/s]: a held axis trembles by an encoder count.
 REST_SPEED = {"rad": 5e-3, "m": 1e-3}
@@ -200,6 +203,17 @@ def _tq_per_effort(config: Config) -> Array:
     return np.array([AxisUnits.of(axis, config.loop).tq_per_effort for axis in config.machine.axes])
 
 
+def _refused(config: Config, arrays: Arrays) -> dict[str, int]:
+    """How many plans the host's own gate refused, by axis, track and the check that failed."""
+    axes, rows = config.machine.axes, ("axis", "sink", "result")
+    refusals = zip(*(arrays[f"refused_{row}"].tolist() for row in rows), strict=True)
+    counts = Counter(
+        f"{axes[axis].joint}: {TRACKS[sink]}, {core.GATE_RESULTS[result]}"
+        for axis, sink, result in refusals
+    )
+    return dict(counts.most_common())
+
+
 def _solver(driver: Driver, arrays: Arrays) -> dict[str, Any]:
     """Plans by what became of them; without MPC the reference's plans are counted."""
     accepted = int(np.sum(arrays["tick_accepted"]))
@@ -207,6 +221,7 @@ def _solver(driver: Driver, arrays: Arrays) -> dict[str, Any]:
         "ticks": driver.ticks,
         "accepted": accepted,
         "rejected": driver.ticks - accepted,
+        "refused_by_gate": _refused(driver.config, arrays),
         "iterations_p50": _percentiles(arrays["solver_iterations"], p50=50)["p50"],
     }
 
