@@ -26,7 +26,8 @@ AFTER_S = 0.5  # of the task after the mishap, at most
 KNOT_S = 0.004096
 # A plan reaches 213 ms; before it coasts a device waits 5 knots, and 3 more are the margin.
 PLAN_S = 0.213 + 8 * KNOT_S
-TOGETHER_S = 5 * KNOT_S  # so long a device may have had no plan and not count as one without
+# So long a device may have had no plan and not count as one without; rest is seen by milliseconds.
+TOGETHER_S = 5 * KNOT_S + 1e-3
 # The hung axis itself: late_us, a call of the guard and the brake's time are 20 ms; then it slips
 # in its brake while the others pull at it.
 HUNG_S = 0.12
