@@ -66,7 +66,9 @@ class Program:
         self._vectors, self._judge = (
             Call(self._library, name, pool) for name in ("vectors", "judge")
         )
-        before = [self.linearize.bound]
+        resting = prediction.call("inverse", {"q": x[:n, -1:]})
+        self.gravity = resting.outputs[0][:, 0]  # that motors bear where the guess ends (n,)
+        before = [self.linearize.bound, resting.bound]
         if costs is not None:
             before.append(Call(self._library, "weigh", pool).bound)
         if config.mpc.backend == "osqp":  # by stages it is not needed
