@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.controller.sample import Sample
 from headway.models._generated import Bound
 
 Array = NDArray[np.float64]
@@ -112,25 +113,14 @@ class Tick:
 
 def steps(times_us: list[int], longest_us: int) -> Indices:
     """Start, middle and end (m, 3) of steps from time to time, as many between two as keep them
-    short."""
-
-class Rows:
-    """Samples in the order of their stamps and the filter after each, a row a sample: z (m, 3n),
-    covariance (m, 3n, 3n), normalized innovation squared, outliers in a row by axis (m, n)."""
-
-    def __init__(
-        self,
-        time_us: Indices,
-        axis: Indices,
-        position: Array,
-        z: Array,
-        covariance: Array,
-        nis: Array,
-        rejected: Indices,
-    ) -> None: ...
+    short; at least one."""
 
 class Filter:
-    """An extended Kalman filter over z = [q, v, d]."""
+    """An extended Kalman filter over z = [q, v, d], with the samples that it has taken in."""
+
+    accepted: int
+    outliers: int
+    nis_sum: float
 
     def __init__(
         self,
@@ -141,17 +131,34 @@ class Filter:
         start: Array,
         nis_max: float,
         in_a_row: int,
-    ) -> None: ...
-    def run(
-        self,
-        z: Array,
-        covariance: Array,
-        times_us: Indices,
-        tracks: Array,
-        rows: Rows,
-        first: int,
-        last: int,
+        rows: int,
     ) -> None:
-        """Carries z and its covariance, in place, through steps whose start, middle and end are
-        `times_us` (m, 3), along `tracks` (3m, 5n) at those. Rows first .. last - 1 are taken in,
-        and filled in, where a step ends at their time. Raises ValueError for other sizes."""
+        """`rows`: room for so many samples at first. Raises ValueError for arrays of other sizes
+        than the step's."""
+
+    def reset(self, time_us: int, z: Array, covariance: Array) -> None:
+        """Forgets all samples."""
+
+    def insert(self, samples: list[Sample]) -> int:
+        """Takes samples, but for known ones and those older than all that is remembered. Returns
+        how many are to be taken in, with those that are later than a new one."""
+
+    def due(self, now_us: int, longest_us: int) -> Indices:
+        """The steps (m, 3) that `update` is to go."""
+
+    @property
+    def position(self) -> Array:
+        """Where the axes were (n,) where `update` begins."""
+
+    def update(self, times_us: Indices, tracks: Array) -> tuple[Array, Array]:
+        """Goes the steps that are due along `tracks` (3m, 5n), takes samples in and returns z and
+        its covariance. Raises ValueError for other sizes."""
+
+    def predict(
+        self, z: Array, covariance: Array, times_us: Indices, tracks: Array
+    ) -> tuple[Array, Array]:
+        """The two carried through steps (m, 3). Raises ValueError for other sizes."""
+
+    def forget(self, before_us: int) -> None:
+        """Forgets the samples before the last one that is older than a time: they enter the
+        statistics."""

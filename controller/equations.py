@@ -29,7 +29,8 @@ class Equations:
     Servoed, the control is the tracks [r, r', f, Kp, Kd + c] (5n).
 
     driven_slope, servoed_slope: to x', its velocity rows' Jacobian in x (n, 2n) and in d (n, n).
-    servoed: to x' alone. inverse: of q, v, a and the law to torques.
+    servoed: to x' alone. given: of x, the tracks and the law to the servos' torques. inverse: of q,
+    v, a and the law to torques.
     """
 
     def __init__(self, tree: Tree) -> None:
@@ -55,7 +56,11 @@ class Equations:
         motion = ca.vertcat(v, forward_dynamics(tree, q, v, servo + d - friction))
         self.servoed = ca.Function("servoed", [x, tracks, d, law], [motion])
         needed = inverse_dynamics(tree, q, v, a) + friction
-        self.inverse = ca.Function("inverse", [q, v, a, law], [ca.densify(needed)])
+        self.given = ca.Function("given", [x, tracks, law], [servo])
+        names = ["q", "v", "a", "law"]
+        self.inverse = ca.Function(
+            "inverse", [q, v, a, law], [ca.densify(needed)], names, ["effort"]
+        )
 
     def along(self, slope: Any, xs: Any, by_control: Any) -> Any:
         """d/dt of xs = [x, S], where S (2n, m) is x's Jacobian in anything and `by_control` (n, m)

@@ -2,18 +2,17 @@
 
 An extended Kalman filter over z = [q, v, d] (d: disturbance torque, a random walk) whose process is
 the machine with its servo loops. Samples are kept in order of their stamps, with the filter's state
-after each; one that comes late is put in its place and the later ones are replayed, so the estimate
-does not depend on the order of arrival. An axis without an encoder has no samples: it is estimated
-by what it does to the others (observable.py). The filter (filter.cpp) is compiled and does a whole
-update in one call; process noise: white acceleration (Bar-Shalom, Li, Kirubarajan, Estimation with
-Applications, 2001, section 6.2).
+after each (history.cpp); one that comes late is put in its place and the later ones are replayed,
+so the estimate does not depend on the order of arrival. An axis without an encoder has no samples:
+it is estimated by what it does to the others (observable.py). The filter (filter.cpp) is compiled
+and does a whole update in one call; process noise: white acceleration (Bar-Shalom, Li, Kirubarajan,
+Estimation with Applications, 2001, section 6.2).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 from headway.configs.schema import Estimator as EstimatorConfig
 from headway.configs.section import by_axis
 from headway.controller._tick import Filter, steps
-from headway.controller.checkpoints import Checkpoints
 from headway.controller.prediction import Prediction
 from headway.controller.sample import Sample
 
@@ -32,6 +30,7 @@ STEP_MAX_US = 5_000  # of the prediction: a stiff servo loop diverges in longer 
 HISTORY_US = 250_000  # samples older than this are forgotten
 REJECTED_IN_A_ROW = 20  # then the filter is wrong, not the samples: its covariance is widened
 START_SIGMA = (2e-3, 0.05)  # of q and v at a reset [rad or m, and per second]
+ROWS = 1024  # samples that there is room for at first
 START_WALK_S = 0.2  # of the disturbance's random walk: what is known of it at a reset
 
 
@@ -43,8 +42,7 @@ class Tracks(Protocol):
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """State z = [q, v, d] and its covariance at one time."""
 
     time_us: int
@@ -82,47 +80,42 @@ class Estimator:
         self._start_covariance = np.diag(start)
         step = prediction.call("step").bound  # with arrays of its own
         outlier = config.gate_sigma**2, REJECTED_IN_A_ROW
-        self._filter = Filter(step, acceleration, walk, reading, start, *outlier)
-        self._kept = Checkpoints(n)
-        self.nis_sum, self.accepted, self.outliers, self.replayed = 0.0, 0, 0, 0
+        self._filter = Filter(step, acceleration, walk, reading, start, *outlier, ROWS)
+        self.replayed = 0
 
     def reset(self, time_us: int, position: Array) -> None:
         """Starts at rest at a known position; all history is forgotten."""
         z = np.concatenate((position, np.zeros(2 * self._n)))
-        self._kept.restart(time_us, z, self._start_covariance)
+        self._filter.reset(time_us, z, self._start_covariance)
 
     def update(self, samples: list[Sample], now_us: int, tracks: Tracks) -> Estimate:
         """The state at `now_us` given all samples so far, these included."""
-        kept = self._kept
-        first = kept.insert(samples)
-        self.replayed += kept.end - first
-        before = first - 1
-        times_us = [*kept.times_us(before), now_us]
-        now = self._carry(kept.z[before], kept.covariance[before], times_us, tracks, first)
-        for is_outlier, nis in kept.forget(now_us - HISTORY_US):
-            self._count(is_outlier, nis)
-        return now
+        kalman = self._filter
+        self.replayed += kalman.insert(samples)
+        times_us = kalman.due(now_us, STEP_MAX_US)
+        along = tracks.at(times_us.ravel(), kalman.position)
+        z, covariance = kalman.update(times_us, along)
+        kalman.forget(now_us - HISTORY_US)
+        return Estimate(now_us, z, covariance, along[-1])
 
     def predict(self, estimate: Estimate, times_us: list[int], tracks: Tracks) -> Estimate:
         """The estimate carried along the tracks through `times_us` to the last of them."""
-        times_us = [estimate.time_us, *times_us]
-        return self._carry(estimate.z, estimate.covariance, times_us, tracks, self._kept.end)
-
-    def _carry(
-        self, z: Array, covariance: Array, times_us: list[int], tracks: Tracks, first: int
-    ) -> Estimate:
-        """From the first of the times to the last, taking in the rows from `first` on, whose times
-        are among the others."""
-        z, covariance = z.copy(), covariance.copy()
-        times = steps(times_us, STEP_MAX_US)
-        along = tracks.at(times.ravel(), z[: self._n])
-        self._filter.run(z, covariance, times, along, self._kept.rows, first, self._kept.end)
+        through_us = steps([estimate.time_us, *times_us], STEP_MAX_US)
+        along = tracks.at(through_us.ravel(), estimate.z[: self._n])
+        z, covariance = self._filter.predict(estimate.z, estimate.covariance, through_us, along)
         return Estimate(times_us[-1], z, covariance, along[-1])
 
-    def _count(self, is_outlier: bool, nis: float) -> None:
-        """Each sample enters the statistics once: as it was last processed."""
-        if is_outlier:
-            self.outliers += 1
-        else:
-            self.accepted += 1
-            self.nis_sum += nis
+    @property
+    def accepted(self) -> int:
+        """Samples that were no outliers. Each is counted once: when it is forgotten."""
+        return self._filter.accepted
+
+    @property
+    def outliers(self) -> int:
+        """Samples that were."""
+        return self._filter.outliers
+
+    @property
+    def nis_sum(self) -> float:
+        """Normalized innovations squared of those that were none."""
+        return self._filter.nis_sum

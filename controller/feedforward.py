@@ -33,7 +33,7 @@ class Feedforward:
         position, v, a = reference.at(path_s)
         velocity = v * speed
         if not self._with_torque:
-            return Motion(position, velocity, np.zeros_like(position))
+            return Motion.of(position, velocity, np.zeros_like(position))
         acceleration = a * speed**2 + v * slowing
         torque = self._prediction.inverse_dynamics(position, velocity, acceleration)
-        return Motion(position, velocity, torque)
+        return Motion.of(position, velocity, torque)

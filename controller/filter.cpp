@@ -6,11 +6,20 @@
 
 enum { X, D, START, MIDDLE, END, DT, LAW, AFTER, JACOBIAN, ARRAYS }; // of `step`
 
+// The loops over matrices are compiled for several processors; the one at hand is found at load time.
+// Where the number of axes is known to the compiler it unrolls them.
+#define INLINED static inline __attribute__((always_inline)) void
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#define VECTORS __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define VECTORS
+#endif
+
 std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t longest_us) {
     std::vector<int64_t> steps;
     for (size_t k = 1; k < times_us.size(); ++k) {
         const int64_t from_us = times_us[k - 1], way_us = times_us[k] - from_us;
-        const int64_t count = std::max<int64_t>(1, (way_us + longest_us - 1) / longest_us);
+        const int64_t count = (way_us + longest_us - 1) / longest_us;
         int64_t begin_us = from_us;
         for (int64_t i = 1; i <= count; ++i) {
             const int64_t end_us = from_us + way_us * i / count;
@@ -18,12 +27,14 @@ std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t
             begin_us = end_us;
         }
     }
+    if (steps.empty())
+        steps.assign(3, times_us.back());
     return steps;
 }
 
-Filter::Filter(Bound &step, Noise noise, Outliers outliers)
-    : step(step), noise(std::move(noise)), outliers(outliers), n(this->noise.reading.size()),
-      carried(6 * n * n), column(3 * n), gain(3 * n) {
+Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows)
+    : history(noise.reading.size(), rows), step(step), noise(std::move(noise)), outliers(outliers),
+      n(this->noise.reading.size()), carried(6 * n * n), column(3 * n), gain(3 * n) {
     if (step.kept.size() != ARRAYS || step.kept[D].size() != n)
         throw std::invalid_argument("not a step of as many axes");
     if (this->noise.acceleration.size() != n || this->noise.walk.size() != n ||
@@ -33,21 +44,109 @@ Filter::Filter(Bound &step, Noise noise, Outliers outliers)
 
 size_t Filter::track_rows() const { return step.kept[START].size(); }
 
-void Filter::run(double *z, double *covariance, Steps steps, const Rows &rows, size_t first,
-                 size_t last) {
+std::vector<int64_t> Filter::times_to(int64_t now_us) const {
+    std::vector<int64_t> times_us;
+    for (size_t row = history.filled() - 1; row < history.size(); ++row)
+        times_us.push_back(history.sample(row).time_us);
+    times_us.push_back(now_us);
+    return times_us;
+}
+
+void Filter::update(double *z, double *covariance, Steps steps) {
+    const size_t known = history.filled() - 1;
+    std::copy_n(history.z(known), 3 * n, z);
+    std::copy_n(history.covariance(known), 9 * n * n, covariance);
+    take_in(z, covariance, steps.times_us[0]);
     for (size_t k = 0; k < steps.count; ++k) {
-        const int64_t *times_us = steps.times_us + 3 * k;
-        if (times_us[2] > times_us[0])
-            predict(z, covariance, (double)(times_us[2] - times_us[0]) * 1e-6,
-                    steps.tracks + 3 * track_rows() * k);
-        for (; first < last && rows.time_us.data()[first] == times_us[2]; ++first)
-            correct(z, covariance, rows, first);
+        predict(z, covariance, {1, steps.times_us + 3 * k, steps.tracks + 3 * track_rows() * k});
+        take_in(z, covariance, steps.times_us[3 * k + 2]);
     }
 }
 
-// P becomes F P F' + Q, where F's upper 2n rows are the step's Jacobian and the others those of the
-// identity. Its halves are computed once: they stay equal to the last bit.
-void Filter::predict(double *z, double *covariance, double dt_s, const double *tracks) {
+// All samples of one time that are not yet in.
+void Filter::take_in(double *z, double *covariance, int64_t time_us) {
+    for (size_t row = history.filled();
+         row < history.size() && history.sample(row).time_us == time_us; ++row)
+        correct(z, covariance, row);
+}
+
+void Filter::predict(double *z, double *covariance, Steps steps) {
+    for (size_t k = 0; k < steps.count; ++k) {
+        const int64_t dt_us = steps.times_us[3 * k + 2] - steps.times_us[3 * k];
+        if (dt_us > 0)
+            step_on(z, covariance, (double)dt_us * 1e-6, steps.tracks + 3 * track_rows() * k);
+    }
+}
+
+void Filter::forget(int64_t before_us) {
+    const size_t since = history.first_since(before_us), first = since > 0 ? since - 1 : 0;
+    for (size_t row = 0; row < first; ++row) {
+        const int64_t axis = history.sample(row).axis;
+        if (axis < 0)
+            continue;
+        if (history.rejected(row)[axis])
+            ++statistics.outliers;
+        else {
+            ++statistics.accepted;
+            statistics.nis_sum += history.nis(row);
+        }
+    }
+    history.forget(first);
+}
+
+// P becomes F P F', where F's upper 2n rows, by columns, are f and the others those of the identity.
+// `carried` (2n, 3n) is working memory.
+INLINED propagate_of(double *__restrict p, const double *__restrict f, double *__restrict carried,
+                     size_t n) {
+    const size_t nx = 2 * n, nz = 3 * n;
+    for (size_t i = 0; i < nx; ++i) {
+        double *row = carried + i * nz;
+        std::fill_n(row, nz, 0.0);
+        for (size_t k = 0; k < nz; ++k)
+            for (size_t j = 0; j < nz; ++j)
+                row[j] += f[i + nx * k] * p[k * nz + j];
+    }
+    for (size_t i = 0; i < nx; ++i) {
+        double *row = p + i * nz;
+        std::fill_n(row, nx, 0.0);
+        for (size_t k = 0; k < nz; ++k)
+            for (size_t j = 0; j < nx; ++j)
+                row[j] += carried[i * nz + k] * f[j + nx * k];
+        std::copy_n(carried + i * nz + nx, nz - nx, row + nx);
+    }
+}
+
+VECTORS static void propagate(double *p, const double *f, double *carried, size_t n) {
+    switch (n) {
+    case 2:
+        return propagate_of(p, f, carried, 2);
+    case 6:
+        return propagate_of(p, f, carried, 6);
+    default:
+        return propagate_of(p, f, carried, n);
+    }
+}
+
+// P becomes (I - K H) P (I - K H)' + K R K', Joseph's form, in its upper half: `column` is P H',
+// `at` the entry of z that was read.
+VECTORS static void narrow(double *p, const double *column, const double *gain, double reading,
+                           size_t at, size_t nz) {
+    for (size_t i = 0; i < nz; ++i) {
+        const double mine = gain[i], left = column[i] - mine * column[at]; // (I - K H) P H'
+        double *row = p + i * nz;
+        for (size_t j = i; j < nz; ++j)
+            row[j] = row[j] - mine * column[j] - left * gain[j] + mine * reading * gain[j];
+    }
+}
+
+// The upper half's entries in the lower one: a covariance stays symmetric to the last bit.
+static void mirror(double *p, size_t nz) {
+    for (size_t i = 1; i < nz; ++i)
+        for (size_t j = 0; j < i; ++j)
+            p[i * nz + j] = p[j * nz + i];
+}
+
+void Filter::step_on(double *z, double *covariance, double dt_s, const double *tracks) {
     const size_t nx = 2 * n, nz = 3 * n, rows = track_rows();
     std::copy_n(z, nx, step.kept[X].data());
     std::copy_n(z + nx, n, step.kept[D].data());
@@ -57,24 +156,8 @@ void Filter::predict(double *z, double *covariance, double dt_s, const double *t
     generated_run(&step.generated);
     std::copy_n(step.kept[AFTER].data(), nx, z);
 
-    const double *f = step.kept[JACOBIAN].data(); // by columns
-    for (size_t i = 0; i < nx; ++i)
-        for (size_t j = 0; j < nz; ++j) {
-            double sum = 0;
-            for (size_t k = 0; k < nz; ++k)
-                sum += f[i + nx * k] * covariance[k * nz + j];
-            carried[i * nz + j] = sum;
-        }
-    for (size_t i = 0; i < nx; ++i) {
-        for (size_t j = i; j < nx; ++j) {
-            double sum = 0;
-            for (size_t k = 0; k < nz; ++k)
-                sum += carried[i * nz + k] * f[j + nx * k];
-            covariance[i * nz + j] = covariance[j * nz + i] = sum;
-        }
-        for (size_t j = nx; j < nz; ++j)
-            covariance[i * nz + j] = covariance[j * nz + i] = carried[i * nz + j];
-    }
+    propagate(covariance, step.kept[JACOBIAN].data(), carried.data(), n);
+    mirror(covariance, nz);
     for (size_t i = 0; i < n; ++i) {
         const size_t q = i, v = n + i, d = nx + i;
         const double a = noise.acceleration.data()[i];
@@ -87,16 +170,17 @@ void Filter::predict(double *z, double *covariance, double dt_s, const double *t
 }
 
 // A reading observes one entry of z, so the gain K is that column of P over the innovation's
-// variance. The new P is Joseph's form, (I - K H) P (I - K H)' + K R K', which stays positive.
-void Filter::correct(double *z, double *covariance, const Rows &rows, size_t row) {
-    const size_t nz = 3 * n, axis = (size_t)rows.axis.data()[row];
+// variance.
+void Filter::correct(double *z, double *covariance, size_t row) {
+    const Sample &sample = history.sample(row);
+    const size_t nz = 3 * n, axis = (size_t)sample.axis;
     const double reading = noise.reading.data()[axis];
-    const double innovation = rows.position.data()[row] - z[axis];
+    const double innovation = sample.position - z[axis];
     const double variance = covariance[axis * nz + axis] + reading;
     const double nis = innovation * innovation / variance;
 
-    int64_t *rejected = rows.rejected.data() + row * n;
-    std::copy_n(rejected - n, n, rejected); // as after the sample before
+    int64_t *rejected = history.rejected(row);
+    std::copy_n(history.rejected(row - 1), n, rejected);
     rejected[axis] = nis > outliers.nis_max ? rejected[axis] + 1 : 0;
     if (rejected[axis] == 0) {
         for (size_t i = 0; i < nz; ++i) {
@@ -104,18 +188,14 @@ void Filter::correct(double *z, double *covariance, const Rows &rows, size_t row
             gain[i] = column[i] / variance;
             z[i] += gain[i] * innovation;
         }
-        for (size_t i = 0; i < nz; ++i) {
-            const double left = column[i] - gain[i] * column[axis]; // (I - K H) P H'
-            for (size_t j = i; j < nz; ++j)
-                covariance[i * nz + j] = covariance[j * nz + i] =
-                    covariance[i * nz + j] - gain[i] * column[j] - left * gain[j] +
-                    gain[i] * reading * gain[j];
-        }
+        narrow(covariance, column.data(), gain.data(), reading, axis, nz);
+        mirror(covariance, nz);
     } else if (rejected[axis] % outliers.in_a_row == 0) {
         for (size_t i = 0; i < nz; ++i)
             covariance[i * nz + i] += noise.start.data()[i];
     }
-    rows.nis.data()[row] = nis;
-    std::copy_n(z, nz, rows.z.data() + row * nz);
-    std::copy_n(covariance, nz * nz, rows.covariance.data() + row * nz * nz);
+    history.nis(row) = nis;
+    std::copy_n(z, nz, history.z(row));
+    std::copy_n(covariance, nz * nz, history.covariance(row));
+    history.fill(row);
 }

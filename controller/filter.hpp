@@ -5,26 +5,17 @@
 #include <vector>
 
 #include "bound.hpp"
+#include "history.hpp"
 
-using Integers = nanobind::ndarray<int64_t, nanobind::device::cpu>;
-
-// Samples in the order of their stamps and the filter after each, a row a sample.
-struct Rows {
-    Integers time_us, axis;
-    Array position;
-    Array z, covariance; // (rows, 3n), (rows, 3n, 3n)
-    Array nis;           // normalized innovation squared
-    Integers rejected;   // outliers in a row, by axis (rows, n)
-};
-
-// From time to time: each step's start, middle and end (count, 3), and the tracks then (.., 5n).
+// Start, middle and end of each step, by time (count, 3), and the tracks then (3 count, 5n).
 struct Steps {
     size_t count;
     const int64_t *times_us;
     const double *tracks;
 };
 
-// Such steps through all times, as many between two as keep each within `longest_us`: (count, 3).
+// Such steps through all times, which do not decrease, as many between two as keep each within
+// `longest_us`: (count, 3). At least one, which may have no length.
 std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t longest_us);
 
 // What the filter assumes, by axis; z's variances at a reset (3n).
@@ -41,21 +32,39 @@ struct Outliers {
     int64_t in_a_row;
 };
 
+// Of all samples that are forgotten, as they were last taken in.
+struct Statistics {
+    int64_t accepted = 0, outliers = 0;
+    double nis_sum = 0; // of those accepted
+};
+
 class Filter {
   public:
-    Filter(Bound &step, Noise noise, Outliers outliers);
+    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows);
 
     size_t axes() const { return n; }
     size_t track_rows() const; // at one time
 
-    // Carries z and its covariance, in place, through all steps. Rows `first` .. `last` - 1 are
-    // taken in, and filled in, at the ends of steps that are their times.
-    void run(double *z, double *covariance, Steps steps, const Rows &rows, size_t first,
-             size_t last);
+    // Times of the samples that are to be taken in, from that of the last known state, to now.
+    std::vector<int64_t> times_to(int64_t now_us) const;
+
+    // From the last known state through such steps, whose ends are those times: takes the samples
+    // in, and tells z and its covariance now.
+    void update(double *z, double *covariance, Steps steps);
+
+    // Carries z and its covariance, in place, through all steps.
+    void predict(double *z, double *covariance, Steps steps);
+
+    // Forgets the samples before the last one that is older than a time.
+    void forget(int64_t before_us);
+
+    History history;
+    Statistics statistics;
 
   private:
-    void predict(double *z, double *covariance, double dt_s, const double *tracks);
-    void correct(double *z, double *covariance, const Rows &rows, size_t row);
+    void step_on(double *z, double *covariance, double dt_s, const double *tracks);
+    void correct(double *z, double *covariance, size_t row);
+    void take_in(double *z, double *covariance, int64_t time_us);
 
     Bound &step; // x, d, tracks at the start, middle and end, dt to x after, its Jacobian in [x, d]
     Noise noise;

@@ -101,7 +101,8 @@ class Gains:
         device, loop, every_axis = config.device, config.loop, config.machine.axes
         axes = list(config.machine.driven.values())
         self._law, self._shift = ServoLaw.of(every_axis), loop.knot_shift
-        self._driven, self._configured = self._law.driven, self._law.feedback[None]
+        self.axes, self.driven = len(every_axis), self._law.driven
+        self.configured = self._law.feedback  # [Kp, Kd + c] (2n)
         self.sinks: tuple[int, ...] = () if loop.gains == "off" else GAIN_SINKS
         units = [AxisUnits.of(axis, loop) for axis in axes]
         self.limits = [gain_limits(axis, device, u) for axis, u in zip(axes, units, strict=True)]
@@ -143,7 +144,7 @@ class Gains:
         emf = np.divide(law.emf, law.kd, out=np.zeros_like(law.kd), where=law.kd > 0)
         damping = np.clip((1 + emf) * share - emf, 0, 1)
         shares = {core.TRACK_KP: share, core.TRACK_KI: share, core.TRACK_KD: damping}
-        return np.hstack([shares[sink][:, self._driven] * self._top[sink] for sink in self.sinks])
+        return np.hstack([shares[sink][:, self.driven] * self._top[sink] for sink in self.sinks])
 
     def still(self, position: Array, count: int) -> list[Points]:
         """By driven axis, `count` equal control points of the gains at a position (n,)."""
@@ -187,10 +188,10 @@ class Gains:
 
         `track` gives the track of a driven axis, by its place among those, and of a sink.
         """
-        n, driven = len(self._law.kp), self._driven
+        n, driven = len(self._law.kp), self.driven
         if not self.sinks:
-            return np.broadcast_to(self._configured, (len(times_us), 2 * n))
-        values = self._configured.repeat(len(times_us), axis=0)
+            return np.broadcast_to(self.configured, (len(times_us), 2 * n))
+        values = self.configured[None].repeat(len(times_us), axis=0)
         sinks, width = (core.TRACK_KP, core.TRACK_KD), len(driven)
         tracks = [track(i, sink) for sink in sinks for i in range(width)]
         points = np.empty((len(times_us), 2 * width))

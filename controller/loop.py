@@ -11,12 +11,14 @@ plan begins at the commit knot k + m, whose state is predicted along what is alr
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
+from headway.controller.ahead import Ahead
 from headway.controller.estimator import Estimate, Estimator
 from headway.controller.feedforward import Feedforward
 from headway.controller.gains import Gains
@@ -31,10 +33,11 @@ from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
 from headway.controller.tracks import Commitment, Encoder
 from headway.devices import core
+from headway.devices._tracks import Gate
 from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
 from headway.devices.link import Link
 from headway.devices.remote import Points, Remote
-from headway.devices.stop import fit, why
+from headway.devices.stop import fit_states, why
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
@@ -78,6 +81,7 @@ class Loop:
             }
             for axis, units in zip(driven.values(), moved_units, strict=True)
         ]
+        self._fit = [fit_states(axis) for axis in self._boards]
         self._resting = RESTING_SHARE * np.array([axis.velocity_limit for axis in axes])
         self._horizon = config.mpc.horizon_us // self._knot_us
         points = plan_points(config)
@@ -97,21 +101,23 @@ class Loop:
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
             limits.update(more)
-        self._commitment = Commitment(self._moved, moved_units, gains, config.loop, self._driven)
+        tracks = [remote.track(sink) for remote in self._moved for sink in self._sinks]
+        bounds = [limits[sink] for limits in self._limits for sink in self._sinks]
+        self._gate = Gate(bounds, tracks)  # every track's, axis by axis
+        self._commitment = Commitment(self._moved, moved_units, gains, config.loop)
         self._encoder = Encoder(self._prediction, moved_units, gains, config.loop)
         costs = own_costs(reference, machine)
         self._mpc: Mpc | None = None
         if config.mpc.enabled:
             self._mpc = Mpc(config, self._prediction, self._encoder, costs)
         self._feedforward = Feedforward(self._prediction, config.mpc.feedforward == "model")
-        nodes = np.arange(config.mpc.intervals + 1) * config.mpc.horizon_us // config.mpc.intervals
-        self._node_us: NDArray[np.int64] = nodes.astype(np.int64)
-        self._knots_us: NDArray[np.int64] = np.arange(self._horizon + 1) * self._knot_us
+        self._ahead = Ahead(self._knot_us, self._horizon, config.mpc.intervals)
+        self._knots: NDArray[np.int64] = np.arange(self._horizon + 1)
         self._last: tuple[int, Motion] | None = None  # what is expected, from a commit knot on
         self._planned = 0  # commit knot of the last plan
         self._commit_knot: int | None = None  # of the last tick
         self._prepared: int | None = None  # commit knot of the problem that is ready
-        self._wanted = np.empty((0, 0))  # the reference at that problem's nodes, see _wanted_from
+        self._wanted = np.empty((0, 0))  # the reference at that problem's nodes
         self._disturbance = np.zeros(self._prediction.n)  # as last estimated, and planned for
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
@@ -124,9 +130,9 @@ class Loop:
         for device, received_us, packet in packets:
             samples = self._remotes[device].receive(packet, received_us)
             good.append(samples is not None)
-            scale = self._unit_per_count[device]
-            for time_us, count in samples or ():
-                self.samples.append(Sample(time_us, device, count * scale))
+            if samples:
+                scale = self._unit_per_count[device]
+                self.samples += [Sample(at_us, device, count * scale) for at_us, count in samples]
         self._recorder.add(("received", now_us, (packets, good)))
 
     def tick(self, now_us: int) -> tuple[Tick, Outbox]:
@@ -153,7 +159,7 @@ class Loop:
                 mine = [remote.plan_packet(outbox.first_knot, plans[device], sent_us)]
             else:
                 mine = remote.stamp_packets(sent_us)
-            packets += [(device, packet) for packet in [*mine, *remote.questions()]]
+            packets += [(device, packet) for packet in mine + remote.questions()]
         for device, packet in packets:
             link.send(device, packet, sent_us)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))
@@ -170,8 +176,8 @@ class Loop:
             self.start_us = start.knot * self._knot_us
             self.estimator.reset(self.start_us, start.position)
             self._enter(start.position, start.torque, 0.0)
-            rows = start.position, np.zeros_like(start.position), start.torque
-            rest = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rows))
+            row = np.concatenate((start.position, np.zeros_like(start.position), start.torque))
+            rest = Motion(np.tile(row, (self._horizon + 1, 1)))
             self._last, self._planned = (start.knot, rest), start.knot
         self.phase = self._start.phase
         return outbox
@@ -184,7 +190,7 @@ class Loop:
         law, n = self._prediction.law, self._prediction.n
         self._disturbance = law.borne(tick.commit.z[2 * n :])
         self._check_devices(tick)
-        if any(remote.silent(tick.now_us) for remote in self._remotes):
+        if self._silent(tick.now_us):
             return Outbox()  # nobody gets a new plan: all coast to rest together
         self._enter_anew(tick.commit, commit_knot)
         began = time.perf_counter()
@@ -204,10 +210,12 @@ class Loop:
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
         # A clock that is ahead by more than its frame was under way stamps what is yet to come.
-        due = [sample for sample in self.samples if sample.time_us <= now_us]
-        self.samples[:] = [sample for sample in self.samples if sample.time_us > now_us]
+        due, early = self.samples[:], [each for each in self.samples if each.time_us > now_us]
+        if early:
+            due = [sample for sample in due if sample.time_us <= now_us]
+        self.samples[:] = early
         now = self.estimator.update(due, now_us, self._commitment)
-        if not np.isfinite(now.z).all():
+        if not all(map(math.isfinite, now.z.tolist())):
             raise DeviceError(
                 "the estimated state has diverged: `headway check` says whether a joint is too "
                 "stiff to be predicted"
@@ -218,10 +226,14 @@ class Loop:
     def _check_devices(self, tick: Tick) -> None:
         """A device that no longer executes plans ends the run; the others, who get no new ones,
         come to rest together."""
+        boards = zip(tick.states, self._fit, strict=True)
+        if all(state in fit for state, fit in boards):
+            return
+        axes = zip(self._boards, self._units, self._remotes, self._fit, strict=True)
         stopped = [
             f"{axis.joint}: {why(remote.status, axis, units, self._config.device.servo_period_us)}"
-            for axis, units, remote in zip(self._boards, self._units, self._remotes, strict=True)
-            if remote.status is not None and not fit(remote.status, axis)
+            for axis, units, remote, fit in axes
+            if remote.status is not None and remote.status.state not in fit
         ]
         if stopped:
             mute = [
@@ -230,14 +242,17 @@ class Loop:
                 if remote.overdue(tick.now_us)
             ]
             raise DeviceError("; ".join([*mute, *stopped]))
+
+    def _silent(self, now_us: int) -> bool:
+        """Whether an answer of any device is overdue. One that stays away ends the run."""
+        if not any(remote.silent(now_us) for remote in self._remotes):
+            return False
         # By then the others, who got plans until this one fell silent, have come to rest as well.
         rest_knots = self._margin + self._horizon + core.COAST_KNOTS + 1
         for axis, remote in zip(self._boards, self._remotes, strict=True):
-            if (
-                remote.status is None
-                or tick.now_us - remote.status.sent_us > rest_knots * self._knot_us
-            ):
+            if remote.status is None or now_us - remote.status.sent_us > rest_knots * self._knot_us:
                 raise DeviceError(f"{axis.joint}: the device no longer answers")
+        return True
 
     def _restore(self, commit: Estimate, commit_knot: int) -> None:
         """The old plan runs on. What becomes of that from where the machine is now, which may not
@@ -255,18 +270,23 @@ class Loop:
         ended = commit_knot - self._planned >= self._horizon
         if ended and np.all(np.abs(commit.z[n : 2 * n]) <= self._resting):
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
-            torque = self._prediction.law.given(commit.state(n), commit.tracks)
+            torque = self._prediction.given(commit.state(n), commit.tracks)
             self._enter(commit.z[:n], torque, start_s)
-            self._wanted = self._wanted_from(commit_knot)
+            _, self._wanted = self._ahead.at(commit_knot)
 
     def _enter(self, position: Array, torque: Array, start_s: float) -> None:
         """From rest at a position onto the task's reference; how often a continuous axis has turned
         before makes no difference."""
         way = position - self.task.at(np.array([start_s]))[0][0]
         turns = whole_turns(self._config.machine.axes, way)
-        self._reference = Entry(self.task, position, start_s, ENTRY_S, turns)
+        self._follow(Entry(self.task, position, start_s, ENTRY_S, turns))
         time_us = self.start_us + round(start_s * 1e6)
         self._recorder.add(("entry", time_us, (start_s, position, torque)))
+
+    def _follow(self, reference: Reference) -> None:
+        """From now on this one, wherever the machine is."""
+        self._reference = reference
+        self._ahead.follow(reference, self.start_us)
 
     def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
         """Points by axis, and their roll-out, if there is a plan."""
@@ -275,10 +295,10 @@ class Loop:
         state = tick.commit.state(n)
         if self._mpc is None:
             commit_us = commit_knot * self._knot_us - self.start_us
-            knots_s = (commit_us + self._knots_us.astype(np.float64)) * 1e-6
+            knots_s = (commit_us + self._knots * self._knot_us).astype(np.float64) * 1e-6
             motion = self._feedforward.plan(self._reference, knots_s)
             return self._encoder.plan(motion, self._moved, commit_knot, state, self._disturbance)
-        torque = self._prediction.law.given(state, tick.commit.tracks)
+        torque = self._prediction.given(state, tick.commit.tracks)
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
         tick.solution = solution = self._mpc.solve(
@@ -288,46 +308,31 @@ class Loop:
 
     def _prepare(self, commit_knot: int) -> None:
         if self._mpc is not None:
-            node_s = self._node_s(commit_knot)
+            node_s, self._wanted = self._ahead.at(commit_knot)
             self._mpc.prepare(self._guess(commit_knot), self._disturbance, node_s)
-            self._prepared, self._wanted = commit_knot, self._wanted_from(commit_knot)
-
-    def _wanted_from(self, commit_knot: int) -> Array:
-        """The reference at the nodes of the horizon that begins there: states (N+1, 2n)."""
-        return np.concatenate(self._reference.at(self._node_s(commit_knot))[:2], axis=1)
-
-    def _node_s(self, commit_knot: int) -> Array:
-        """Times of the task at the nodes of the horizon that begins there."""
-        commit_us = commit_knot * self._knot_us - self.start_us
-        at_s: Array = (commit_us + self._node_us.astype(np.float64)) * 1e-6
-        return at_s
+            self._prepared = commit_knot
 
     def _guess(self, commit_knot: int) -> Motion:
         """The last roll-out from the new commit knot on, extended at rest."""
         assert self._last is not None
         knot, motion = self._last
-        knots = np.arange(commit_knot - knot, commit_knot - knot + self._horizon + 1)
-        rows = (motion.position, motion.velocity, motion.torque)
-        return Motion(*(of.take(knots, axis=0, mode="clip") for of in rows))
+        return motion.later(commit_knot - knot)
 
     def _passes(self, now_us: int, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device, whose first refusal is noted; and a roll-out that is a
         motion."""
         if not _finite(rolled):
             return False
-        first = commit_knot - 1
-        moved = zip(self._driven, self._moved, self._limits, points, strict=True)
-        for axis, remote, limits, plan in moved:
-            for sink in self._sinks:
-                result = core.gate_check_track(
-                    limits[sink], remote.track(sink), first, plan[sink], commit_knot - 1
-                )
-                if result != "accepted":
-                    self._recorder.add(
-                        ("refused", now_us, (axis, sink, core.GATE_RESULTS.index(result)))
-                    )
-                    return False
-        return True
+        every = [plan[sink] for plan in points for sink in self._sinks]
+        knot = commit_knot - 1
+        refusal = self._gate.refusal(knot, every, knot)
+        if refusal is None:
+            return True
+        row, result = refusal
+        axis, sink = divmod(row, len(self._sinks))
+        told = self._driven[axis], self._sinks[sink], result
+        self._recorder.add(("refused", now_us, told))
+        return False
 
     def _repeat(self, knot: int) -> Outbox:
         """The committed plan's points that have not begun, unchanged."""
@@ -338,19 +343,18 @@ class Loop:
         return Outbox(first, points)
 
     def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
-        """Committed points that have not begun, then the new ones."""
-        first = knot + core.LIVE_KNOTS
-        ahead = commit_knot - 1 - first  # points that have not begun before the plan's own first
-        joined = points
-        if ahead < 0:
-            joined = [{s: plan[s][-ahead:] for s in self._sinks} for plan in points]
-        elif ahead > 0:
-            joined = [
+        """The new points, from before the commit knot on, and committed ones before them that have
+        not begun."""
+        first = commit_knot - 1
+        ahead = first - (knot + core.LIVE_KNOTS)
+        if ahead > 0:
+            first -= ahead
+            points = [
                 {s: np.concatenate((r.track(s).points(first, ahead), plan[s])) for s in self._sinks}
                 for r, plan in zip(self._moved, points, strict=True)
             ]
-        return Outbox(first, joined, commit_knot * self._knot_us)
+        return Outbox(first, points, commit_knot * self._knot_us)
 
 
 def _finite(motion: Motion) -> bool:
-    return bool(np.isfinite(motion.position).all() and np.isfinite(motion.velocity).all())
+    return bool(np.isfinite(motion.rows).all())

@@ -37,58 +37,129 @@ struct Stranger : Solver {
 };
 
 using Times = nb::ndarray<const int64_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
-using Tracks = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using State = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Square = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-static void run(Filter &filter, const State &z, const Square &covariance, const Times &times_us,
-                const Tracks &tracks, const Rows &rows, size_t first, size_t last) {
-    size_t n = filter.axes(), count = times_us.shape(0);
-    if (z.size() != 3 * n || covariance.shape(0) != 3 * n || covariance.shape(1) != 3 * n ||
-        tracks.shape(0) != 3 * count || tracks.shape(1) != filter.track_rows())
-        throw std::invalid_argument("a state or tracks of another size than the filter's");
-    if (first < last && (first == 0 || last > rows.position.size()))
-        throw std::invalid_argument("no such rows");
-    nb::gil_scoped_release free;
-    filter.run(z.data(), covariance.data(), {count, times_us.data(), tracks.data()}, rows, first,
-               last);
+template <typename T> static auto array(std::vector<T> &&values, size_t rows, size_t columns) {
+    auto *owned = new std::vector<T>(std::move(values));
+    nb::capsule owner(owned, [](void *p) noexcept { delete static_cast<std::vector<T> *>(p); });
+    return nb::ndarray<nb::numpy, T, nb::ndim<2>>(owned->data(), {rows, columns}, owner);
+}
+
+static auto vector(std::vector<double> &&values) {
+    auto *owned = new std::vector<double>(std::move(values));
+    nb::capsule owner(owned,
+                      [](void *p) noexcept { delete static_cast<std::vector<double> *>(p); });
+    return nb::ndarray<nb::numpy, double, nb::ndim<1>>(owned->data(), {owned->size()}, owner);
 }
 
 static auto steps(const std::vector<int64_t> &times_us, int64_t longest_us) {
-    auto *made = new std::vector<int64_t>(steps_through(times_us, longest_us));
-    nb::capsule owner(made, [](void *p) noexcept { delete static_cast<decltype(made)>(p); });
-    return nb::ndarray<nb::numpy, int64_t>(made->data(), {made->size() / 3, 3}, owner);
+    std::vector<int64_t> made = steps_through(times_us, longest_us);
+    size_t count = made.size() / 3;
+    return array(std::move(made), count, 3);
+}
+
+// Steps of a size that fits the filter.
+static Steps along(const Filter &filter, const Times &times_us, const Table &tracks) {
+    size_t count = times_us.shape(0);
+    if (count == 0 || tracks.shape(0) != 3 * count || tracks.shape(1) != filter.track_rows())
+        throw std::invalid_argument("tracks of another size than the steps");
+    return {count, times_us.data(), tracks.data()};
+}
+
+static nb::tuple told(std::vector<double> &&z, std::vector<double> &&covariance) {
+    size_t n = z.size();
+    return nb::make_tuple(vector(std::move(z)), array(std::move(covariance), n, n));
+}
+
+static void check(const Filter &filter, const Vector &z, const Square &covariance) {
+    size_t n = 3 * filter.axes();
+    if (z.size() != n || covariance.shape(0) != n || covariance.shape(1) != n)
+        throw std::invalid_argument("a state of another size than the filter's");
+}
+
+static size_t insert(Filter &filter, const nb::list &samples) {
+    std::vector<Sample> heard;
+    heard.reserve(samples.size());
+    for (nb::handle each : samples) {
+        auto sample = nb::cast<nb::tuple>(each);
+        heard.push_back({nb::cast<int64_t>(sample[0]), nb::cast<int64_t>(sample[1]),
+                         nb::cast<double>(sample[2])});
+        if (heard.back().axis < 0 || heard.back().axis >= (int64_t)filter.axes())
+            throw std::invalid_argument("a sample of an axis that there is not");
+    }
+    return filter.history.insert(heard);
+}
+
+static nb::tuple update(Filter &filter, const Times &times_us, const Table &tracks) {
+    Steps steps = along(filter, times_us, tracks);
+    size_t n = 3 * filter.axes();
+    std::vector<double> z(n), covariance(n * n);
+    filter.update(z.data(), covariance.data(), steps);
+    return told(std::move(z), std::move(covariance));
+}
+
+static nb::tuple predict(Filter &filter, const Vector &z, const Square &covariance,
+                         const Times &times_us, const Table &tracks) {
+    check(filter, z, covariance);
+    Steps steps = along(filter, times_us, tracks);
+    std::vector<double> state(z.data(), z.data() + z.size());
+    std::vector<double> spread(covariance.data(), covariance.data() + covariance.size());
+    filter.predict(state.data(), spread.data(), steps);
+    return told(std::move(state), std::move(spread));
 }
 
 static void bind_filter(nb::module_ &m) {
     m.def("steps", &steps, "times_us"_a, "longest_us"_a,
           "Start, middle and end (m, 3) of steps from time to time, as many between two as keep "
-          "them short.");
-    nb::class_<Rows>(m, "Rows", "Samples in order and the filter after each, a row a sample.")
-        .def(
-            "__init__",
-            [](Rows *self, Integers time_us, Integers axis, Array position, Array z,
-               Array covariance, Array nis, Integers rejected) {
-                new (self) Rows{time_us, axis, position, z, covariance, nis, rejected};
-            },
-            "time_us"_a, "axis"_a, "position"_a, "z"_a, "covariance"_a, "nis"_a, "rejected"_a);
+          "them short; at least one.");
     nb::class_<Filter>(m, "Filter", "An extended Kalman filter over z = [q, v, d].")
         .def(
             "__init__",
             [](Filter *self, Bound &step, Array acceleration, Array walk, Array reading,
-               Array start, double nis_max, int64_t in_a_row) {
-                new (self) Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row});
+               Array start, double nis_max, int64_t in_a_row, size_t rows) {
+                new (self)
+                    Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row}, rows);
             },
             "step"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a, "in_a_row"_a,
-            nb::keep_alive<1, 2>(), "Raises ValueError for arrays of other sizes than the step's.")
+            "rows"_a, nb::keep_alive<1, 2>(),
+            "rows: room for so many samples at first. Raises ValueError for arrays of other sizes "
+            "than the step's.")
         .def(
-            "run", &run, "z"_a.noconvert(), "covariance"_a.noconvert(), "times_us"_a, "tracks"_a,
-            "rows"_a, "first"_a, "last"_a,
-            "Carries z and its covariance, in place, through steps whose start, middle and end are "
-            "`times_us` (m, 3), along `tracks` (3 m, 5n) at those. Rows first .. last - 1 are "
-            "taken "
-            "in, and filled in, where a step ends at their time. Raises ValueError for other "
-            "sizes.");
+            "reset",
+            [](Filter &filter, int64_t time_us, const Vector &z, const Square &covariance) {
+                check(filter, z, covariance);
+                filter.history.restart(time_us, z.data(), covariance.data());
+            },
+            "time_us"_a, "z"_a, "covariance"_a, "Forgets all samples.")
+        .def("insert", &insert, "samples"_a,
+             "Takes samples, but for known ones and those older than all that is remembered. "
+             "Returns how many are to be taken in, with those that are later than a new one.")
+        .def(
+            "due",
+            [](const Filter &filter, int64_t now_us, int64_t longest_us) {
+                return steps(filter.times_to(now_us), longest_us);
+            },
+            "now_us"_a, "longest_us"_a, "The steps (m, 3) that `update` is to go.")
+        .def_prop_ro(
+            "position",
+            [](Filter &filter) {
+                const double *z = filter.history.z(filter.history.filled() - 1);
+                return vector(std::vector<double>(z, z + filter.axes()));
+            },
+            nb::rv_policy::move, "Where the axes were (n,) where `update` begins.")
+        .def("update", &update, "times_us"_a, "tracks"_a,
+             "Goes the steps that are due along `tracks` (3m, 5n), takes samples in and returns z "
+             "and its covariance. Raises ValueError for other sizes.")
+        .def("predict", &predict, "z"_a, "covariance"_a, "times_us"_a, "tracks"_a,
+             "The two carried through steps (m, 3). Raises ValueError for other sizes.")
+        .def("forget", &Filter::forget, "before_us"_a,
+             "Forgets the samples before the last one that is older than a time: they enter the "
+             "statistics.")
+        .def_prop_ro("accepted", [](const Filter &f) { return f.statistics.accepted; })
+        .def_prop_ro("outliers", [](const Filter &f) { return f.statistics.outliers; })
+        .def_prop_ro("nis_sum", [](const Filter &f) { return f.statistics.nis_sum; });
 }
 
 NB_MODULE(_tick, m) {

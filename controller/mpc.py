@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from headway.models.codegen import Array
 OSQP_SIGINT = 10  # a Ctrl-C that OSQP has caught
 
 
-@dataclass(frozen=True)
-class Solution:
+class Solution(NamedTuple):
     """What the solver did."""
 
     status: int  # the solver's own
@@ -53,10 +52,9 @@ class Mpc:
         """`costs`: of the task's own."""
         knots = config.mpc.horizon_us // config.loop.knot_us
         self._nodes = slice(None, None, knots // config.mpc.intervals)
-        self._prediction, self.encoder = prediction, encoder
+        self.encoder = encoder
         self.program = Program(config, prediction, costs, encoder.encoding, encoder.pool)
         self._along = np.zeros((knots + 1, prediction.n))  # the positions of the guess
-        self._gravity = np.zeros(prediction.n)
         self._assumed = np.zeros(prediction.n)
         self._prepare_us = 0.0
 
@@ -67,9 +65,8 @@ class Mpc:
         """
         began = time.perf_counter()
         self._along, nodes, self._assumed = guess.position, self._nodes, disturbance
-        x = np.concatenate((guess.position[nodes], guess.velocity[nodes]), axis=1).T
-        self._gravity = self._prediction.holding(guess.position[-1], np.zeros_like(disturbance))
-        self.program.prepare(x, guess.torque[nodes].T, disturbance, node_s)
+        x, u = guess.rows[nodes, : 2 * guess.n].T, guess.rows[nodes, 2 * guess.n :].T
+        self.program.prepare(x, u, disturbance, node_s)
         self._prepare_us = (time.perf_counter() - began) * 1e6
 
     def solve(
@@ -87,7 +84,7 @@ class Mpc:
         states at the nodes; committed_torque: (n,) motor torque there, zero on passive axes.
         """
         self.encoder.commit(remotes, commit_knot, self._along, start, disturbance)
-        ends = committed_torque, self._gravity - disturbance
+        ends = committed_torque, self.program.gravity - disturbance
         done = self.program.feedback(start, disturbance, reference.T, *ends)
         if done.status == OSQP_SIGINT:
             signal.raise_signal(signal.SIGINT)  # OSQP caught a Ctrl-C that is not for it

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from headway.configs.axis import Axis
 from headway.configs.schema import Config
-from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta, servo_torque
+from headway.controller.equations import LAW_ROWS, TRACK_ROWS, Equations, runge_kutta
 from headway.models.codegen import Call, compile_functions, compile_mapped, named_function
 from headway.models.machine import Machine
 
@@ -51,7 +51,7 @@ class ServoLaw:
         than the motor can hold, and what pushes at a passive axis now would in a plan speed it up
         until the end."""
         most = BORNE_SHARE * self.limit
-        return np.clip(disturbance, -most, most)
+        return np.minimum(np.maximum(disturbance, -most), most)
 
     @property
     def parameters(self) -> Array:
@@ -62,18 +62,6 @@ class ServoLaw:
     def feedback(self) -> Array:
         """[Kp, Kd + c] as configured (2n)."""
         return np.concatenate((self.kp, self.kd + self.emf))
-
-    def torque(self, x: Array, tracks: Array) -> Array:
-        """Motor torque [Nm], unclipped, at states (m, 2n) under track values (m, 5n)."""
-        n = len(self.limit)
-        rows = [tracks[..., i * n : (i + 1) * n] for i in range(TRACK_ROWS)]
-        torque: Array = servo_torque(rows, x[..., :n], x[..., n:])
-        return torque
-
-    def given(self, x: Array, tracks: Array) -> Array:
-        """The same as far as the motors give it."""
-        torque: Array = np.clip(self.torque(x, tracks), -self.limit, self.limit)
-        return torque
 
 
 class Prediction:
@@ -87,6 +75,7 @@ class Prediction:
         rollout    the same for `horizon_knots` steps in a row to each x after, `states`
         linearize  x, torques u0 at start and u1 at end, d, dt, for each of `intervals`
                    to x after, its Jacobians in x, u0, u1
+        given      x, tracks to the servos' torques, as far as the motors give them
         inverse    q, v, a to motor torques
     """
 
@@ -94,12 +83,14 @@ class Prediction:
         self.law, self.n, self.horizon_knots = law, len(law.kp), horizon_knots
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
-        library = compile_functions("machine", [_step(equations), rollout, equations.inverse])
+        functions = [_step(equations), rollout, equations.given, equations.inverse]
+        library = compile_functions("machine", functions)
         linearize = compile_mapped("linearize", interval(equations), intervals, [3, 4, 5])
         self._libraries = {"linearize": linearize} | dict.fromkeys(
-            ("step", "rollout", "inverse"), library
+            ("step", "rollout", "given", "inverse"), library
         )
         self.step, self._inverse = self.call("step"), self.call("inverse")
+        self._given = self.call("given")
 
     @classmethod
     def of(cls, config: Config, machine: Machine) -> Prediction:
@@ -114,13 +105,18 @@ class Prediction:
         call.inputs.pop()[...] = self.law.parameters[:, None]
         return call
 
+    def given(self, x: Array, tracks: Array) -> Array:
+        """The servos' torques (n,) at a state (2n,) under the tracks there (5n,)."""
+        self._given.inputs[0].T[...], self._given.inputs[1].T[...] = x, tracks
+        return self._given.run()[0][:, 0].copy()
+
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Motor torques [Nm] of the motion (m, n) by the model."""
         return np.array([self._inverse_at(*row) for row in zip(q, v, a, strict=True)])
 
     def _inverse_at(self, q: Array, v: Array | float, a: Array | float) -> Array:
         at, speed, acceleration = self._inverse.inputs
-        at[:, 0], speed[:, 0], acceleration[:, 0] = q, v, a
+        at.T[...], speed.T[...], acceleration.T[...] = q, v, a
         return self._inverse.run()[0][:, 0].copy()
 
     def holding(self, q: Array, disturbance: Array) -> Array:

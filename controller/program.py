@@ -78,6 +78,9 @@ class Program:
             pool |= {name: encoded[name] for name in ("position", "velocity", "torque")}
             pool["start"] = encoded["x"]
         self.linearize = prediction.call("linearize", pool)
+        resting = prediction.call("inverse", {"q": x[:n, -1:]})
+        self.gravity = resting.outputs[0][:, 0]  # that motors bear where the guess ends (n,)
+        self._along = [self.linearize.bound, resting.bound]
         self._weighings: list[Weighing] = []
         for i, weighed in enumerate(config.weighings):
             ocp = Ocp(weighed, Limits.of(weighed), costs and costs.after(i))
@@ -96,7 +99,7 @@ class Program:
         """In the arrays of `pool`, which gets those that it lacks."""
         pool["parameters"] = ocp.parameters[:, None]
         vectors, judge = (Call(self._library, name, pool) for name in ("vectors", "judge"))
-        before = [self.linearize.bound]
+        before = [*self._along]
         if ocp.costs is not None:
             before.append(Call(self._library, "weigh", pool).bound)
         if config.mpc.backend == "osqp":  # by stages it is not needed

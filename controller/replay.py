@@ -127,11 +127,10 @@ class Replay:
             motion, began_us = self._rolled(last), commit_us[last]
         else:
             rest = arrays["entry_position"][0], np.zeros(self._n), arrays["entry_torque"][0]
-            motion = Motion(*(np.tile(row, (self._horizon + 1, 1)) for row in rest))
+            motion = Motion(np.tile(np.concatenate(rest), (self._horizon + 1, 1)))
             began_us = arrays["task_start_us"][0]
         later = int(commit_us[tick] - began_us) // self._knot_us
-        index = np.minimum(np.arange(self._horizon + 1) + later, self._horizon)
-        return Motion(motion.position[index], motion.velocity[index], motion.torque[index])
+        return motion.later(later)
 
     def _rolled(self, tick: int) -> Motion:
         arrays, n = self._arrays, self._n

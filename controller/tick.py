@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class Outbox:
         count = len(next(iter(self.points[0].values())))
         begun = min(max(knot + LIVE_KNOTS - self.first_knot, 0), count - 3)  # three: its rest
         points = [{sink: row[begun:] for sink, row in plan.items()} for plan in self.points]
-        return replace(self, first_knot=self.first_knot + begun, points=points)
+        return Outbox(self.first_knot + begun, points, self.too_late_us)
 
 
 @dataclass

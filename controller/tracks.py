@@ -24,6 +24,7 @@ from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction
 from headway.devices import core
+from headway.devices._tracks import Course
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
 from headway.models.codegen import Array, Call, among, compile_functions, named_function
@@ -89,15 +90,17 @@ class Encoder:
     ) -> None:
         n, knots, driven = prediction.n, prediction.horizon_knots, prediction.law.driven
         self._n, self._gains, self._law, self._units = n, gains, prediction.law, units
-        self._driven = driven
+        self._driven, self._loop = driven, loop
+        self._of: list[Remote] | None = None  # whose tracks are committed
         self._h = loop.knot_us * 1e-6
         # Of knots and half-way between them, where a plan's first point is number 0.
         steps = loop.knot_us // 2 * np.arange(2, 2 * knots + 3)
         self._half_knots_us: NDArray[np.int64] = steps.astype(np.int64)
         self._scale = {
-            core.TRACK_POSITION: np.array([u.pq_per_unit for u in units]),
-            core.TRACK_TORQUE: np.array([u.tq_per_effort for u in units]),
+            core.TRACK_POSITION: np.array([[u.pq_per_unit] for u in units]),
+            core.TRACK_TORQUE: np.array([[u.tq_per_effort] for u in units]),
         }
+        self._continuous = any(u.continuous for u in units)
         self._gain_fit = Fit(knots, POSITION_CURVATURE_WEIGHT)
         self._gain_points: list[Points] = [{} for _ in units]
         library = compile_functions(
@@ -107,10 +110,12 @@ class Encoder:
         encode = Call(library, "encode", pool)
         tracks = pool["tracks"]
         pool |= {"start": tracks[:, :-1], "middle": pool["middles"], "end": tracks[:, 1:]}
+        self._states = np.zeros((2 * n, knots + 1), order="F")  # in one piece, see `rolled`
+        pool |= {"x": self._states[:, :1], "states": self._states[:, 1:]}
         self._rollout = rollout = prediction.call("rollout", pool)
         self._relieve = relieve = Call(library, "relieve", pool)
         pool["dt"][...], pool["limit"][:, 0] = self._h, self._law.limit
-        pool["quanta"][:, 0] = np.concatenate(list(self._scale.values()))
+        pool["quanta"][...] = np.concatenate(list(self._scale.values()))
         pool["feedback"][...] = self._law.feedback[:, None]
         self.encoding = Encoding(
             encode.bound, rollout.bound, relieve.bound, pool["relief"], pool["more"], pool["over"]
@@ -132,24 +137,22 @@ class Encoder:
     ) -> None:
         """Takes over what the devices have from `knot` - 1 on: the first three points of each
         track. Gains follow `position` (K+1, n), which need not be the motion to the last bit."""
-        width, sinks = len(self._driven), (core.TRACK_POSITION, core.TRACK_TORQUE)
-        tracks = [remote.track(sink) for sink in sinks for remote in remotes]
-        points = core.track_points(tracks, knot - 1, 3)
-        axes = zip(self._units, points[:width], position[0, self._driven].tolist(), strict=True)
-        unwrapped = np.array([units.unwrapped(of_axis, near) for units, of_axis, near in axes])
-        self.pool["r0"][...] = unwrapped / self._scale[core.TRACK_POSITION][:, None]
-        self.pool["f0"][...] = points[width:] / self._scale[core.TRACK_TORQUE][:, None]
+        pool = self.pool
+        if remotes is not self._of:
+            self._of = remotes
+            self._course = course_of(remotes, self._units, self._gains, self._loop)
+        self._course.points(knot - 1, start[: self._n], pool["r0"], pool["f0"])
         if self._gains.sinks:
             self._gain_points = self.gain_points(position, remotes, knot)
             feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
-            self.pool["feedback"][...] = feedback.T
-        self.pool["x"][:, 0], self.pool["d"][...] = start, disturbance[:, None]
+            pool["feedback"][...] = feedback.T
+        pool["x"].T[...], pool["d"].T[...] = start, disturbance
 
     def roll(self, points: list[dict[int, Array]], start: Array, disturbance: Array) -> Motion:
         """What the servos, with the config's gains, make of control points (from a plan's first
         on, by axis) from state `start` (2n,)."""
         r, f = (
-            np.array([of_axis[sink] for of_axis in points]) / self._scale[sink][:, None]
+            np.array([of_axis[sink] for of_axis in points]) / self._scale[sink]
             for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
         )
         pool, h = self.pool, self._h
@@ -159,7 +162,7 @@ class Encoder:
         pool["middles"][...] = self._rows(
             _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
         )
-        pool["x"][:, 0], pool["d"][...] = start, disturbance[:, None]
+        pool["x"].T[...], pool["d"].T[...] = start, disturbance
         self._rollout.run()
         self._relieve.run()
         return self.rolled()
@@ -175,8 +178,10 @@ class Encoder:
     def points(self) -> list[Points]:
         """Of the last encoding: control points by axis, the first three of each track the
         committed ones."""
-        # By way of int64: on a continuous axis a position goes on from 2^31 at -2^31.
-        points = self.pool["points"].astype(np.int64).astype(np.int32, order="C")
+        points: NDArray[Any] = self.pool["points"]
+        if self._continuous:  # a position goes on from 2^31 at -2^31
+            points = points.astype(np.int64)
+        points = points.astype(np.int32, order="C")
         width = len(self._driven)
         return [
             {
@@ -189,8 +194,7 @@ class Encoder:
 
     def rolled(self) -> Motion:
         """Of the last encoding: the motion that the servos make of it."""
-        states = np.concatenate((self.pool["x"], self.pool["states"]), axis=1).T
-        return Motion(states[:, : self._n], states[:, self._n :], self.pool["motor"].T.copy())
+        return Motion(np.concatenate((self._states, self.pool["motor"])).T)
 
     def departure(self) -> Array:
         """Of the last encoding: torque that the tracks give along the motion itself, minus the
@@ -311,43 +315,36 @@ def _relieve(n: int, driven: list[int], knots: int) -> ca.Function:
     return named_function("relieve", inputs, outputs)
 
 
+def course_of(remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop) -> Course:
+    """The tracks of the driven axes."""
+    return Course(
+        gains.driven,
+        [remote.track(core.TRACK_POSITION) for remote in remotes],
+        [remote.track(core.TRACK_TORQUE) for remote in remotes],
+        [u.pq_per_unit for u in units],
+        [u.tq_per_effort for u in units],
+        [u.continuous for u in units],
+        loop.knot_shift,
+        np.concatenate((np.zeros(3 * gains.axes), gains.configured)),
+    )
+
+
 class Commitment:
     """What the devices execute, as far as the host knows, as a function of system time."""
 
     def __init__(
-        self,
-        remotes: list[Remote],
-        units: list[AxisUnits],
-        gains: Gains,
-        loop: Loop,
-        driven: list[int],
+        self, remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop
     ) -> None:
-        """`remotes` and `units` are those of the axes `driven`."""
-        self._remotes, self._gains, self._shift = remotes, gains, loop.knot_shift
-        self._units, self._driven = units, driven
-        self._continuous = [i for i, u in enumerate(units) if u.continuous]
-        position = 1 / np.array([u.pq_per_unit for u in units])
-        torque = 1 / np.array([u.tq_per_effort for u in units])
-        self._quanta = np.concatenate((position, position / (loop.knot_us * 1e-6), torque))
+        """`remotes` and `units` are those of the driven axes."""
+        self._remotes, self._gains = remotes, gains
+        self._course = course_of(remotes, units, gains, loop)
 
     def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
         seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
-        w, n = len(self._driven), len(near)
-        position = [remote.track(core.TRACK_POSITION) for remote in self._remotes]
-        torque = [remote.track(core.TRACK_TORQUE) for remote in self._remotes]
-        values = np.zeros((len(times_us), TRACK_ROWS * n))
-        moved = values[:, : 3 * n] if w == n else np.empty((len(times_us), 3 * w))
-        r, rate, f = moved[:, :w], moved[:, w : 2 * w], moved[:, 2 * w :]
-        core.evaluate_tracks(position, times_us, self._shift, r, rate)
-        core.evaluate_tracks(torque, times_us, self._shift, f)
-        for i in self._continuous:
-            at = near[self._driven[i]]
-            r[:, i] = self._units[i].unwrapped(r[:, i].astype(np.int32), at)
-        moved *= self._quanta
-        if w != n:
-            values[:, [row * n + axis for row in range(3) for axis in self._driven]] = moved
-        values[:, 3 * n :] = self._gains.feedback(self._track, times_us)
+        values = self._course.at(times_us, near)
+        if self._gains.sinks:
+            values[:, 3 * len(near) :] = self._gains.feedback(self._track, times_us)
         return values
 
     def _track(self, axis: int, sink: int) -> core.Track:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from headway.configs.axis import Axis, DrivenAxis
 from headway.configs.schema import Device, Loop
+from headway.devices._tracks import unwrap
 from headway.firmware import _core
 
 GAIN_BITS = 8  # of a gain's control point after the point of the mantissa
@@ -64,10 +65,7 @@ class AxisUnits:
         """
         if not self.continuous:
             return points.astype(np.float64)
-        steps = np.diff(points, prepend=points[:1])  # modulo 2^32, as int32 has it
-        way = points[:1] + np.cumsum(steps, dtype=np.int64)
-        again: NDArray[np.float64] = np.rint((near * self.pq_per_unit - points[:1]) / 2.0**32)
-        return way + 2.0**32 * again
+        return unwrap(points, near * self.pq_per_unit)
 
     def torque_points(self, effort: NDArray[np.float64]) -> NDArray[np.int32]:
         """Control points in tq, rounded."""

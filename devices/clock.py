@@ -23,6 +23,7 @@ WINDOW_US = 1_000_000
 SLEW_PPM = 500  # a clock is slewed by this much at most, against the count ...
 RATE_PPM = 800  # ... which drifts by 300 at most against the host's
 UNKNOWN_NS = 2**31 - 1
+UNREAD_MAX = 64  # statuses
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,21 @@ class RemoteClock:
         self._window: deque[tuple[int, float, float, int]] = deque()
         self._base_us = 0
         self._status: _core.Status | None = None
+        self._unread: list[tuple[_core.Status, int]] = []
 
     def note(self, status: _core.Status, received_us: int) -> None:
-        """A status that arrived at a time of the host's."""
+        """A status that arrived at a time of the host's. What it says waits until it is asked for:
+        while a machine runs nobody does."""
+        self._unread.append((status, received_us))
+        if len(self._unread) == UNREAD_MAX:
+            self._read()
+
+    def _read(self) -> None:
+        for status, received_us in self._unread:
+            self._take(status, received_us)
+        self._unread.clear()
+
+    def _take(self, status: _core.Status, received_us: int) -> None:
         if self._status is not None and not self._status.synced and status.synced:
             self._window.clear()  # it may have stepped until now
         self._status = status
@@ -79,6 +92,7 @@ class RemoteClock:
 
     def state(self, now_us: int) -> ClockState:
         """As far as it is known at a time of the host's."""
+        self._read()
         self._forget(now_us)
         status = self._status
         measured = offset = trip = None

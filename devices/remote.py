@@ -1,10 +1,10 @@
 """A device as the host knows it: its session, its last status and the tracks it holds.
 
-The host cannot see what arrived; it is told. Plans that the device has acknowledged are in `held`;
-plans still under way are presumed to arrive, and each status settles those it has an answer for. A
-plan that was lost is dropped: the next one repeats its points. When a plan is refused, those that
-were sent after it are taken to be refused as well, since they repeat its points, and the device is
-planned as what it is: continuing the last plan it accepted.
+The host cannot see what arrived; it is told (holding.cpp). Plans still under way are presumed to
+arrive, and each status settles those it has an answer for. A plan that was lost is dropped: the
+next one repeats its points. When a plan is refused, those that were sent after it are taken to be
+refused as well, since they repeat its points, and the device is planned as what it is: continuing
+the last plan it accepted.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.devices._tracks import Holding
 from headway.devices.bus import NONE, Bus, Mark
 from headway.devices.clock import RemoteClock
 from headway.devices.odometer import Odometer
@@ -23,7 +24,6 @@ from headway.devices.signals import Signals
 from headway.firmware import _core
 
 GAIN_SINKS = (_core.TRACK_KP, _core.TRACK_KI, _core.TRACK_KD)
-SINKS = (_core.TRACK_POSITION, _core.TRACK_TORQUE, *GAIN_SINKS)
 Points = dict[int, NDArray[np.int32]]
 
 
@@ -35,16 +35,6 @@ class Command:
     kind: int
     argument: int
     epoch: int
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Points of every track from one knot on, as sent."""
-
-    number: int
-    sent_us: int
-    first_knot: int
-    points: Points
 
 
 class Remote:
@@ -59,10 +49,7 @@ class Remote:
         self._patience_us = patience_us
         self._session = session
         self.greeting = "no answer"  # to HELLO, until there is a session; else why there is none
-        self._held = {sink: _core.Track() for sink in SINKS}
-        self._presumed: dict[int, _core.Track] = {}
-        self._pending: list[Plan] = []
-        self._doomed = 0  # pending plans up to this number are taken to be refused
+        self._holding = Holding()
         # The device's count and our time of statuses, each echoed once and in order.
         self._echoes: deque[tuple[int, int]] = deque(maxlen=8)
         self._command: Command | None = None
@@ -84,22 +71,14 @@ class Remote:
         """Opens a packet; returns a status' samples (time, count without bounds), or None for what
         is no status (counted)."""
         opened = self._session.open(packet)
-        status = None
-        if isinstance(opened, str) and not self._session.established:
-            verdict = self._session.welcome(packet)
-            if verdict != "another frame":  # as of a session that an earlier host has had
-                self.greeting = verdict
+        if isinstance(opened, str):
+            self._unopened(packet)
             return None
-        if isinstance(opened, tuple) and opened[0] == _core.FRAME_READINGS:
-            report = _core.report_decode(opened[1])
-            self.frames_bad += report is None
-            if report is not None and not self._session.overtaken:
-                self.signals.note(report)
+        kind, payload = opened
+        if kind != _core.FRAME_STATUS:
+            self._take_other(kind, payload)
             return None
-        if isinstance(opened, tuple) and opened[0] == _core.FRAME_STATUS:
-            status = _core.status_decode(opened[1])
-        elif isinstance(opened, tuple) and self._answered(*opened):
-            return None
+        status = _core.status_decode(payload)
         if status is None:
             self.frames_bad += 1
             return None
@@ -110,8 +89,29 @@ class Remote:
             self.clock.note(status, received_us)
             if self._bus is not None:
                 self._bus.tell(self._device, status.mark)
-            self._settle(status)
+            if self._command and status.command_number >= self._command.number:
+                self._command = None
+            self._holding.settle(status, self._patience_us)
         return self._odometer.read(status.samples, status.homed)
+
+    def _unopened(self, packet: bytes) -> None:
+        """A packet that is no frame of the session: before there is one, perhaps its beginning."""
+        if self._session.established:
+            self.frames_bad += 1
+            return
+        verdict = self._session.welcome(packet)
+        if verdict != "another frame":  # as of a session that an earlier host has had
+            self.greeting = verdict
+
+    def _take_other(self, kind: int, payload: bytes) -> None:
+        """A frame that is no status."""
+        if kind == _core.FRAME_READINGS:
+            report = _core.report_decode(payload)
+            self.frames_bad += report is None
+            if report is not None and not self._session.overtaken:
+                self.signals.note(report)
+        elif not self._answered(kind, payload):
+            self.frames_bad += 1
 
     def _answered(self, kind: int, payload: bytes) -> bool:
         """Takes what was asked for besides statuses; False if it is nothing of that."""
@@ -146,30 +146,13 @@ class Remote:
         """Frames of this session that the device has sent and that have not arrived (yet)."""
         return self._session.lost
 
-    def _settle(self, status: _core.Status) -> None:
-        if self._command and status.command_number >= self._command.number:
-            self._command = None
-        while self._pending and self._pending[0].number <= status.plan_seen:
-            plan = self._pending.pop(0)
-            behind = status.plan_seen - plan.number
-            if behind < 32 and status.accepted_mask >> behind & 1:
-                for sink, points in plan.points.items():
-                    self._held[sink].write(plan.first_knot, points)
-        while self._pending and self._pending[0].sent_us + self._patience_us < status.sent_us:
-            self._pending.pop(0)  # it had time to arrive
-        if status.accepted_mask & 1 == 0 and status.plan_seen > self._doomed:
-            self._doomed = self.number
-        self._presumed = {}
-
     def ask(self, kind: str, argument: int = 0) -> None:
         """Has a command (one of COMMANDS) sent until the device has answered it. To arm and to
         resume begin a new epoch of plans."""
         if kind in ("ARM", "RESUME"):
             known = self.epoch if self.status is None else max(self.epoch, self.status.epoch)
             self.epoch = known % 0xFFFF + 1
-            self._held = {sink: _core.Track() for sink in SINKS}
-            self._pending.clear()
-            self._presumed = {}
+            self._holding.forget()
         self._commands += 1
         number = _core.COMMANDS.index(kind)
         self._command = Command(self._commands, number, argument, self.epoch)
@@ -198,17 +181,11 @@ class Remote:
         """Whether the last status, or the answer to a plan, is overdue."""
         if self.overdue(now_us):
             return True
-        return bool(self._pending) and now_us - self._pending[0].sent_us > self._patience_us
+        return now_us - self._holding.waiting_since_us > self._patience_us
 
     def track(self, sink: int) -> _core.Track:
-        """The track as it will be once what is under way has arrived."""
-        if sink not in self._presumed:
-            track = self._held[sink].copy()
-            for plan in self._pending:
-                if plan.number > self._doomed:
-                    track.write(plan.first_knot, plan.points[sink])
-            self._presumed[sink] = track
-        return self._presumed[sink]
+        """The track as it will be once what is under way has arrived: always the same object."""
+        return self._holding.track(sink)
 
     def _mark(self) -> Mark:
         return NONE if self._bus is None else self._bus.mark()
@@ -220,13 +197,9 @@ class Remote:
     def plan_packet(self, first_knot: int, points: Points, sent_us: int) -> bytes:
         """Seals a plan and remembers it as under way."""
         self.number += 1
-        plan = Plan(self.number, sent_us, first_knot, points)
-        payload = _core.plan_encode(
-            self._stamps(sent_us), self.number, self.epoch, first_knot, points, self._mark()
+        payload = self._holding.send(
+            self._stamps(sent_us), self._mark(), self.number, self.epoch, first_knot, points
         )
-        self._pending.append(plan)
-        for sink, track in self._presumed.items():
-            track.write(first_knot, points[sink])
         return self._session.seal(_core.FRAME_PLAN, payload)
 
     def signal_packets(self, sent_us: int) -> list[bytes]:

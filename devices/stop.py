@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from headway.configs.axis import Axis
 from headway.devices.axis import AxisUnits
@@ -38,9 +39,9 @@ _TEXTS = {
 }
 
 
-def fit(status: _core.Status, axis: Axis) -> bool:
-    """Whether the device does its part: executes plans, or tells where a passive axis is."""
-    return status.state == IDLE if axis.passive else status.state in MOVING
+def fit_states(axis: Axis) -> Collection[int]:
+    """Those in which the device does its part: executes plans, or tells where a passive axis is."""
+    return (IDLE,) if axis.passive else MOVING
 
 
 def why(status: _core.Status, axis: Axis, units: AxisUnits, servo_period_us: int) -> str:

@@ -253,7 +253,8 @@ def servo_cases(prediction: Prediction, saturated: bool) -> list[tuple[Array, Ar
         gains = law.feedback * rng.uniform(0.3, 1, 2 * n)
         tracks = np.tile(np.concatenate((r, rate, f, gains)), (3, 1))
         tracks += rng.normal(0, 1e-3, (3, 5 * n))
-        torque = law.torque(np.concatenate((q, v)), tracks)
+        at, speed, effort, kp, damping = tracks.reshape(3, 5, n).swapaxes(0, 1)
+        torque = effort + kp * (at - q) + damping * (speed - v)
         clear = np.abs(torque) > 1.3 * law.limit if saturated else np.abs(torque) < 0.7 * law.limit
         if clear.all():
             cases.append((np.concatenate((q, v, d)), tracks))
@@ -271,6 +272,21 @@ def test_derivatives_of_a_servoed_step(
         expected = central(lambda z, t=tracks: step(prediction, z, t, dt)[0], z)  # type: ignore[misc]
         size = np.abs(expected).max(axis=0)  # of each column, so that d's small ones count
         assert np.all(np.abs(jacobian - expected) <= 1e-6 * size)
+
+
+@pytest.mark.parametrize("saturated", [False, True])
+def test_the_servos_torques_are_those_of_their_law(
+    predicted: tuple[Machine, Prediction], saturated: bool
+) -> None:
+    _, prediction = predicted
+    n, law = prediction.n, prediction.law
+    for z, tracks in servo_cases(prediction, saturated):
+        for axis, torque in enumerate(prediction.given(z[: 2 * n], tracks[0])):
+            at, rate, effort, kp, damping = tracks[0, axis::n]
+            wanted = effort + kp * (at - z[axis]) + damping * (rate - z[n + axis])
+            assert torque == pytest.approx(
+                max(-law.limit[axis], min(wanted, law.limit[axis])), rel=1e-12
+            )
 
 
 def linearize(

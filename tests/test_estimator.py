@@ -155,7 +155,7 @@ def test_however_few_rows_there_are_at_first(monkeypatch: pytest.MonkeyPatch) ->
     batches = [[samples[i] for i in order[k : k + 5]] for k in range(0, len(order), 5)]
 
     def estimates(rows: int) -> tuple[list[bytes], int, float]:
-        monkeypatch.setattr("headway.controller.checkpoints.ROWS", rows)
+        monkeypatch.setattr("headway.controller.estimator.ROWS", rows)
         filter_ = settled(estimator())
         told = [as_bytes(filter_.update(b, max(s.time_us for s in b), Still())) for b in batches]
         return told, filter_.outliers, filter_.nis_sum

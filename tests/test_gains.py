@@ -264,7 +264,7 @@ def motions(seed: int, wild: bool) -> list[Motion]:
         times = (np.arange(12)[:, None] + KNOTS) * KNOT_S
         positions = (low + high) / 2 + (high - low) / 2 * np.sin(times[..., None] * rate + phase)
     zeros = np.zeros((HORIZON + 1, 2))
-    return [Motion(q, zeros, zeros) for q in positions]
+    return [Motion.of(q, zeros, zeros) for q in positions]
 
 
 def value(points: NDArray[np.int32]) -> Array:
@@ -371,7 +371,7 @@ def stride(offset: float) -> Motion:
     q = np.array([0.4, -1.8]) + offset + way * s**3 * (10 - 15 * s + 6 * s * s)
     v = way * 30 * s**2 * (1 - s) ** 2 / duration_s
     a = way * 60 * s * (1 - s) * (1 - 2 * s) / duration_s**2
-    return Motion(q, v, prediction().inverse_dynamics(q, v, a))
+    return Motion.of(q, v, prediction().inverse_dynamics(q, v, a))
 
 
 def test_a_roll_out_follows_gains_that_vary() -> None:

@@ -6,6 +6,8 @@ from types import ModuleType
 
 import pytest
 
+from headway.controller import _tick
+from headway.devices import _tracks
 from headway.firmware import _core
 from headway.sim import _board
 
@@ -27,7 +29,13 @@ def public(thing: object) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("module", "stub"), [(_core, "firmware/_core.pyi"), (_board, "sim/_board.pyi")]
+    ("module", "stub"),
+    [
+        (_core, "firmware/_core.pyi"),
+        (_board, "sim/_board.pyi"),
+        (_tracks, "devices/_tracks.pyi"),
+        (_tick, "controller/_tick.pyi"),
+    ],
 )
 def test_stub_names(module: ModuleType, stub: str) -> None:
     body = ast.parse((ROOT / stub).read_text()).body

@@ -169,7 +169,7 @@ def quintic(first_knot: int) -> Motion:
     q = start + amplitude * u**3 * (10 - 15 * u + 6 * u * u)
     v = amplitude * 30 * u**2 * (1 - u) ** 2 / duration_s
     a = amplitude * 60 * u * (1 - u) * (1 - 2 * u) / duration_s**2
-    return Motion(q, v, prediction().inverse_dynamics(q, v, a))
+    return Motion.of(q, v, prediction().inverse_dynamics(q, v, a))
 
 
 def encoded(points: list[Points]) -> tuple[BSpline, BSpline]:
@@ -265,7 +265,7 @@ class Encoding:
 
 def planned(of: Encoder) -> Motion:
     """The motion that was encoded last."""
-    return Motion(*(of.pool[name].T.copy() for name in ("position", "velocity", "torque")))
+    return Motion.of(*(of.pool[name].T.copy() for name in ("position", "velocity", "torque")))
 
 
 def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
@@ -334,7 +334,7 @@ def test_the_encoded_motion_is_the_planned_to_within_a_count_rms(
 def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None:
     """At each tick, over the knot that has passed and the one that begins, to the last bit."""
     lock = Lockstep(config_of("duration_s=2"), CONFIGS)
-    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop, [0, 1])
+    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop)
     tick, compared = lock.loop.tick, 0
     quanta = np.array(
         [PQ_PER_RAD, PQ_PER_RAD, PQ_PER_RAD * KNOT_S, PQ_PER_RAD * KNOT_S, TQ_PER_NM, TQ_PER_NM]

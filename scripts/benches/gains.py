@@ -83,7 +83,7 @@ class Held(Feedforward):
         motion = super().plan(reference, time_s)
         middle = np.rint(motion.position.mean(axis=0) * 1e2) / 1e2
         torque = self._prediction.holding(middle, np.zeros_like(middle))
-        return Motion(motion.position, motion.velocity, np.tile(torque, (len(time_s), 1)))
+        return Motion.of(motion.position, motion.velocity, np.tile(torque, (len(time_s), 1)))
 
 
 class Alone(Schedule):

@@ -1,0 +1,223 @@
+// Tracks as the host has them, for Python.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <optional>
+#include <stdexcept>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "course.hpp"
+#include "holding.hpp"
+#include "unwrap.hpp"
+
+extern "C" {
+#include "frame.h"
+#include "gate.h"
+#include "stamps.h"
+}
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+using Points = nb::ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Instants = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Columns = nb::ndarray<double, nb::ndim<2>, nb::f_contig, nb::device::cpu>;
+using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+static auto array(std::vector<double> &&values, std::initializer_list<size_t> shape) {
+    auto *owned = new std::vector<double>(std::move(values));
+    nb::capsule owner(owned,
+                      [](void *p) noexcept { delete static_cast<std::vector<double> *>(p); });
+    return nb::ndarray<nb::numpy, double>(owned->data(), shape, owner);
+}
+
+static auto unwrap(Points values, double near) {
+    size_t n = values.shape(0);
+    std::vector<double> ways;
+    ways.reserve(n);
+    Unwrap unwrap(n ? values.data()[0] : 0, near);
+    for (size_t i = 0; i < n; i++)
+        ways.push_back(unwrap(values.data()[i]));
+    return array(std::move(ways), {n});
+}
+
+using Stamps = std::tuple<uint32_t, int64_t, int64_t>;
+using Mark = std::tuple<uint16_t, uint16_t, int64_t>; // number, width, least
+
+static nb::bytes send(Holding &holding, Stamps stamps_us, Mark m, uint32_t number, uint16_t epoch,
+                      int64_t first_knot, nb::dict points) {
+    Sent sent{std::get<2>(stamps_us), {}};
+    plan &p = sent.plan;
+    p.number = number, p.epoch = epoch, p.first_knot = first_knot;
+    for (auto [sink, of_sink] : points) {
+        int s = nb::cast<int>(sink);
+        auto values = nb::cast<Points>(of_sink);
+        size_t count = values.size();
+        if (s < 0 || s >= TRACK_COUNT || count < 3 || count > PLAN_POINTS_MAX ||
+            (p.count && p.count != count))
+            throw std::invalid_argument(
+                "a plan has known sinks, all with the same 3 .. 128 points");
+        p.tracks |= (uint8_t)(1 << s);
+        p.count = (uint8_t)count;
+        std::copy_n(values.data(), count, p.points[s]);
+    }
+    stamps told{std::get<0>(stamps_us),
+                std::get<1>(stamps_us),
+                std::get<2>(stamps_us),
+                {std::get<0>(m), std::get<1>(m), std::get<2>(m)}};
+    uint8_t payload[FRAME_PAYLOAD_MAX];
+    int32_t size = plan_encode(&told, &p, payload, FRAME_PAYLOAD_MAX);
+    if (size < 0)
+        throw std::invalid_argument("the plan does not fit a frame");
+    holding.send(sent);
+    return nb::bytes((const char *)payload, (size_t)size);
+}
+
+static void bind_holding(nb::module_ &m) {
+    nb::class_<Holding>(m, "Holding", "The tracks that a device holds.")
+        .def(nb::init<>())
+        .def("forget", &Holding::forget, "A new epoch: the device drops its tracks.")
+        .def("send", &send, "stamps_us"_a, "mark"_a, "number"_a, "epoch"_a, "first_knot"_a,
+             "points"_a,
+             "The payload of a plan, points by sink, which from now on is under way. Raises "
+             "ValueError for points that a frame cannot carry.")
+        .def("settle", &Holding::settle, "status"_a, "patience_us"_a,
+             "Settles those plans that a status has an answer for; one without an answer after "
+             "`patience_us` counts as lost.")
+        .def(
+            "track",
+            [](const Holding &holding, int sink) {
+                if (sink < 0 || sink >= TRACK_COUNT)
+                    throw std::invalid_argument("no such sink");
+                return &holding.presumed(sink);
+            },
+            "sink"_a, nb::rv_policy::reference_internal,
+            "The track as it will be once what is under way has arrived: always the same object.")
+        .def_prop_ro("waiting_since_us", &Holding::waiting_since_us,
+                     "When the first of the plans under way was sent; far in the future if there "
+                     "is none.");
+}
+
+// The gate of several tracks.
+struct Gate {
+    std::vector<nb::object> kept;
+    std::vector<const gate_limits *> limits;
+    std::vector<const track *> stored;
+};
+
+static std::optional<std::pair<size_t, int>>
+refusal(const Gate &gate, int64_t first_knot, const std::vector<Points> &points, int64_t knot) {
+    if (points.size() != gate.stored.size())
+        throw std::invalid_argument("not as many rows of points as tracks");
+    for (size_t i = 0; i < points.size(); i++) {
+        if (points[i].size() < 3 || points[i].size() > PLAN_POINTS_MAX)
+            throw std::invalid_argument("a plan has 3 .. 128 points");
+        int result = gate_check_track(gate.limits[i], gate.stored[i], first_knot, points[i].data(),
+                                      (int32_t)points[i].size(), knot);
+        if (result != GATE_ACCEPTED)
+            return std::pair{i, result};
+    }
+    return std::nullopt;
+}
+
+static void bind_gate(nb::module_ &m) {
+    nb::class_<Gate>(m, "Gate", "The gate, as on the devices, of several tracks.")
+        .def(
+            "__init__",
+            [](Gate *self, const std::vector<nb::object> &limits,
+               const std::vector<nb::object> &stored) {
+                if (limits.size() != stored.size())
+                    throw std::invalid_argument("not as many limits as tracks");
+                new (self) Gate{limits, {}, {}};
+                for (const nb::object &each : limits)
+                    self->limits.push_back(nb::cast<const gate_limits *>(each));
+                for (const nb::object &each : stored)
+                    self->stored.push_back(nb::cast<const track *>(each));
+                self->kept.insert(self->kept.end(), stored.begin(), stored.end());
+            },
+            "limits"_a, "stored"_a)
+        .def("refusal", &refusal, "first_knot"_a, "points"_a, "knot"_a,
+             "Of points from a knot on, a row a track, at a knot: the first row that it would not "
+             "take, and why, as in firmware/gate.h; None if it takes all.");
+}
+
+// A course with the tracks that it reads.
+struct Kept {
+    std::vector<nb::object> tracks;
+    Course course;
+};
+
+static void bind_course(nb::module_ &m) {
+    using Tracks = std::vector<nb::object>;
+    nb::class_<Kept>(m, "Course", "What the devices execute, as far as the host knows, in SI.")
+        .def(
+            "__init__",
+            [](Kept *self, const std::vector<size_t> &axes, Tracks position, Tracks torque,
+               const std::vector<double> &pq_per_unit, const std::vector<double> &tq_per_effort,
+               const std::vector<bool> &continuous, int32_t knot_shift, std::vector<double> still) {
+                size_t w = axes.size();
+                if (position.size() != w || torque.size() != w || pq_per_unit.size() != w ||
+                    tq_per_effort.size() != w || continuous.size() != w || still.size() % 5)
+                    throw std::invalid_argument("not as many tracks and quanta as axes");
+                std::vector<Driven> driven;
+                for (size_t i = 0; i < w; ++i) {
+                    if (axes[i] >= still.size() / 5)
+                        throw std::invalid_argument("no such axis");
+                    driven.push_back({axes[i], nb::cast<const track *>(position[i]),
+                                      nb::cast<const track *>(torque[i]), pq_per_unit[i],
+                                      tq_per_effort[i], continuous[i]});
+                }
+                position.insert(position.end(), torque.begin(), torque.end());
+                new (self) Kept{std::move(position), {driven, knot_shift, std::move(still)}};
+            },
+            "axes"_a, "position"_a, "torque"_a, "pq_per_unit"_a, "tq_per_effort"_a, "continuous"_a,
+            "knot_shift"_a, "still"_a,
+            "axes: those with a motor; the next five lists are of these. still: a row [r, r', f, "
+            "Kp, Kd + c] (5n), of which `at` replaces what tracks tell.")
+        .def(
+            "at",
+            [](const Kept &kept, Instants times_us, Vector near) {
+                const Course &course = kept.course;
+                size_t count = times_us.shape(0);
+                if (count == 0 || near.size() != course.axes())
+                    throw std::invalid_argument("no times, or another number of axes");
+                std::vector<double> rows(count * course.width());
+                course.at(times_us.data(), count, near.data(), rows.data());
+                return array(std::move(rows), {count, course.width()});
+            },
+            "times_us"_a, "near"_a,
+            "Rows (m, 5n) at system times (m,), close together. near (n,): where the axes are at "
+            "the first of them, give or take some turns.")
+        .def(
+            "points",
+            [](const Kept &kept, int64_t first_knot, Vector near, Columns position,
+               Columns torque) {
+                const Course &course = kept.course;
+                size_t count = position.shape(1);
+                if (near.size() != course.axes() || position.shape(0) != course.moved() ||
+                    torque.shape(0) != course.moved() || torque.shape(1) != count)
+                    throw std::invalid_argument("points of another number of axes");
+                course.points(first_knot, count, near.data(), position.data(), torque.data());
+            },
+            "first_knot"_a, "near"_a, "position"_a.noconvert(), "torque"_a.noconvert(),
+            "Control points from a knot on, a row a driven axis, into arrays in Fortran order. "
+            "near (n,): as in `at`.");
+}
+
+NB_MODULE(_tracks, m) {
+    nb::module_::import_("headway.firmware._core"); // knows tracks and statuses
+    m.doc() = "Tracks as the host has them.";
+    m.def("unwrap", &unwrap, "values"_a, "near"_a,
+          "Values modulo 2^32, each less than half of that from the one before, without bounds; of "
+          "all that the first may stand for the one next to `near`.");
+    bind_holding(m);
+    bind_gate(m);
+    bind_course(m);
+}
