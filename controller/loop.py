@@ -117,6 +117,7 @@ class Loop:
         self._planned = 0  # commit knot of the last plan
         self._commit_knot: int | None = None  # of the last tick
         self._prepared: int | None = None  # commit knot of the problem that is ready
+        self._wanted = np.empty((0, 0))  # the reference at that problem's nodes
         self._disturbance = np.zeros(self._prediction.n)  # as last estimated, and planned for
         self.samples: list[Sample] = []  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
@@ -271,16 +272,21 @@ class Loop:
             start_s = (commit_knot * self._knot_us - self.start_us) * 1e-6
             torque = self._prediction.given(commit.state(n), commit.tracks)
             self._enter(commit.z[:n], torque, start_s)
+            _, self._wanted = self._ahead.at(commit_knot)
 
     def _enter(self, position: Array, torque: Array, start_s: float) -> None:
         """From rest at a position onto the task's reference; how often a continuous axis has turned
         before makes no difference."""
         way = position - self.task.at(np.array([start_s]))[0][0]
         turns = whole_turns(self._config.machine.axes, way)
-        self._reference = Entry(self.task, position, start_s, ENTRY_S, turns)
-        self._ahead.follow(self._reference, self.start_us)
+        self._follow(Entry(self.task, position, start_s, ENTRY_S, turns))
         time_us = self.start_us + round(start_s * 1e6)
         self._recorder.add(("entry", time_us, (start_s, position, torque)))
+
+    def _follow(self, reference: Reference) -> None:
+        """From now on this one, wherever the machine is."""
+        self._reference = reference
+        self._ahead.follow(reference, self.start_us)
 
     def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
         """Points by axis, and their roll-out, if there is a plan."""
@@ -295,15 +301,14 @@ class Loop:
         torque = self._prediction.given(state, tick.commit.tracks)
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
-        _, wanted = self._ahead.at(commit_knot)
         tick.solution = solution = self._mpc.solve(
-            state, self._disturbance, wanted, torque, self._moved, commit_knot
+            state, self._disturbance, self._wanted, torque, self._moved, commit_knot
         )
         return solution.plan
 
     def _prepare(self, commit_knot: int) -> None:
         if self._mpc is not None:
-            node_s, _ = self._ahead.at(commit_knot)
+            node_s, self._wanted = self._ahead.at(commit_knot)
             self._mpc.prepare(self._guess(commit_knot), self._disturbance, node_s)
             self._prepared = commit_knot
 

@@ -54,7 +54,8 @@ def jumping(*places: tuple[float, float]) -> Callable[[Lockstep, int], None]:
 
     def jump(lock: Lockstep, tick: int) -> None:
         if tick % 100 == 50 and tick // 100 < len(places):
-            lock.loop.task = lock.loop._reference = Target(np.array(places[tick // 100]))
+            lock.loop.task = target = Target(np.array(places[tick // 100]))
+            lock.loop._follow(target)
 
     return jump
 
