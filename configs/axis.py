@@ -60,7 +60,14 @@ class LinearMotor(Motor):
     """Angle of the motor per way of the joint."""
 
 
-class RotaryServo(Section):
+class _Servo(Section):
+    ahead_us: Annotated[int, Field(ge=0, le=32768)] | None = None
+    """How far ahead along the tracks all feed-forward is taken; at most a knot. Default: half a
+    servo period, the middle of the time for which an output holds. A motor whose torque lags takes
+    more."""
+
+
+class RotaryServo(_Servo):
     """The device's PID, at a rotary joint."""
 
     kp: NotNegative = Field(alias="kp_Nm_per_rad")
@@ -69,9 +76,14 @@ class RotaryServo(Section):
     """Integral gain."""
     kd: NotNegative = Field(alias="kd_Nm_s_per_rad")
     """Derivative gain, on the change of the following error."""
+    velocity: NotNegative = Field(default=0.0, alias="velocity_Nm_s_per_rad")
+    """Feed-forward by the position track's speed: what viscous friction takes. Where no torque is
+    planned alone: mpc.enabled: false and mpc.feedforward: none."""
+    acceleration: NotNegative = Field(default=0.0, alias="acceleration_Nm_s2_per_rad")
+    """Feed-forward by its acceleration: the inertia at the joint. Under the same condition."""
 
 
-class LinearServo(Section):
+class LinearServo(_Servo):
     """The device's PID, at a linear joint."""
 
     kp: NotNegative = Field(alias="kp_N_per_m")
@@ -80,6 +92,11 @@ class LinearServo(Section):
     """Integral gain."""
     kd: NotNegative = Field(alias="kd_N_s_per_m")
     """Derivative gain, on the change of the following error."""
+    velocity: NotNegative = Field(default=0.0, alias="velocity_N_s_per_m")
+    """Feed-forward by the position track's speed: what viscous friction takes. Where no force is
+    planned alone: mpc.enabled: false and mpc.feedforward: none."""
+    acceleration: NotNegative = Field(default=0.0, alias="acceleration_N_s2_per_m")
+    """Feed-forward by its acceleration: the mass that moves. Under the same condition."""
 
 
 class _Homing(Section):

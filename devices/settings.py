@@ -85,7 +85,12 @@ def _drive(settings: _core.DeviceSettings, axis: DrivenAxis, device: Device, loo
     servo.kp_tq = scales[_core.TRACK_KP]
     servo.ki_tq = scales[_core.TRACK_KI]
     servo.kd_tq = scales[_core.TRACK_KD]
-    servo.velocity_tq = scale_of(0.0)
+    servo.velocity_tq, servo.acceleration_tq = (
+        _track_scale(axis, name, tq_per_pq / units.knot_s**order)
+        for order, name in enumerate(("velocity", "acceleration"), 1)
+    )
+    ahead_us = axis.servo.ahead_us
+    servo.ahead_us = device.servo_period_us // 2 if ahead_us is None else ahead_us
     servo.resistance_mV = scale_of(
         1e3 * motor.resistance_ohm / motor.constant / units.tq_per_effort
     )
@@ -191,6 +196,18 @@ def home_settings(axis: DrivenAxis, device: Device, units: AxisUnits) -> _core.H
     home.acceleration_q16 = max(1, round(home.speed_q16 * period_s / JOG_RAMP_S))
     home.torque_tq = round(effort * units.tq_per_effort)
     return home
+
+
+def _track_scale(axis: DrivenAxis, name: str, factor: float) -> _core.Scale:
+    """A gain on what the position track does. Raises ValueError where it does not fit."""
+    gain: float = getattr(axis.servo, name)
+    try:
+        return scale_of(gain * factor)
+    except ValueError as error:
+        raise ValueError(
+            f"{axis.joint}: servo.{axis.servo.key(name)} is {gain:g}; with this knot and encoder "
+            f"it can be 0, or {2.0**-31 / factor:.3g} to {65535 / factor:.3g}"
+        ) from error
 
 
 def _fit(value: float, name: str, most: int) -> int:

@@ -255,12 +255,14 @@ class ServoSettings:
     ki_tq: Scale
     kd_tq: Scale
     velocity_tq: Scale
+    acceleration_tq: Scale
     resistance_mV: Scale
     emf_mV: Scale
     emf_tq: Scale
     supply_duty: Scale
     torque_limit_tq: int
     integrate_running: bool
+    ahead_us: int
     def __init__(self) -> None: ...
 
 class MonitorSettings:
@@ -390,6 +392,7 @@ class Servo:
         torque_tq: int,
         encoder_count: int,
         integrate: bool = True,
+        curve_pq: int = 0,
     ) -> int: ...
 
 class Clock:

@@ -34,12 +34,13 @@ static void from_tracks(struct device *device, const struct instant *now,
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
     struct track *tracks = device->tracks;
-    // The output holds for a whole period, so feed-forward is taken at the period's middle.
-    struct instant middle = instant_after(now, settings->servo_period_us / 2, settings->knot_shift);
+    // The output holds for a whole period: the least that feed-forward leads by is half of it.
+    struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
-    setpoint->velocity_pq =
-        span_rate(track_span(&tracks[TRACK_POSITION], middle.knot), middle.phase);
-    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &middle);
+    const struct span *way = track_span(&tracks[TRACK_POSITION], ahead.knot);
+    setpoint->velocity_pq = span_rate(way, ahead.phase);
+    setpoint->curve_pq = servo->acceleration_tq.mantissa == 0 ? 0 : span_curve(way, ahead.phase);
+    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
     setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
     setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
     setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
@@ -53,6 +54,7 @@ static void at(const struct device *device, int32_t position_pq, int32_t period_
     const struct servo_settings *servo = &device->settings.servo;
     setpoint->position_pq = position_pq;
     setpoint->velocity_pq = fixed_scale(period_pq, device->settings.knot_periods);
+    setpoint->curve_pq = 0;
     setpoint->torque_tq = torque_tq;
     setpoint->kp = servo->kp_tq;
     setpoint->ki = servo->ki_tq;

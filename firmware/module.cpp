@@ -391,12 +391,14 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("ki_tq", &servo_settings::ki_tq)
         .def_rw("kd_tq", &servo_settings::kd_tq)
         .def_rw("velocity_tq", &servo_settings::velocity_tq)
+        .def_rw("acceleration_tq", &servo_settings::acceleration_tq)
         .def_rw("resistance_mV", &servo_settings::resistance_mV)
         .def_rw("emf_mV", &servo_settings::emf_mV)
         .def_rw("emf_tq", &servo_settings::emf_tq)
         .def_rw("supply_duty", &servo_settings::supply_duty)
         .def_rw("torque_limit_tq", &servo_settings::torque_limit_tq)
-        .def_rw("integrate_running", &servo_settings::integrate_running);
+        .def_rw("integrate_running", &servo_settings::integrate_running)
+        .def_rw("ahead_us", &servo_settings::ahead_us);
     nb::class_<monitor_settings>(m, "MonitorSettings")
         .def(nb::init<>())
         .def_rw("following_pq", &monitor_settings::following_pq)
@@ -622,13 +624,14 @@ static void bind_kernels(nb::module_ &m) {
         .def(
             "step",
             [](servo &s, const servo_settings &settings, int32_t position_pq, int32_t velocity_pq,
-               int32_t torque_tq, int32_t encoder_count, bool integrate) {
-                setpoint target{position_pq,    velocity_pq,    torque_tq,           settings.kp_tq,
-                                settings.ki_tq, settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
+               int32_t torque_tq, int32_t encoder_count, bool integrate, int32_t curve_pq) {
+                setpoint target{position_pq,    velocity_pq,         curve_pq,
+                                torque_tq,      settings.kp_tq,      settings.ki_tq,
+                                settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
                 return servo_step(&settings, &s, &target, servo_position_pq(encoder_count, false));
             },
             "settings"_a, "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "encoder_count"_a,
-            "integrate"_a = true);
+            "integrate"_a = true, "curve_pq"_a = 0);
     nb::class_<headway_clock>(m, "Clock")
         .def(
             "__init__",

@@ -6,10 +6,10 @@ static bool scale_valid(struct scale scale) { return scale.shift < 32; }
 
 static bool servo_valid(const struct servo_settings *servo) {
     return scale_valid(servo->kp_tq) && scale_valid(servo->ki_tq) && scale_valid(servo->kd_tq) &&
-           scale_valid(servo->velocity_tq) && scale_valid(servo->resistance_mV) &&
-           scale_valid(servo->emf_mV) && scale_valid(servo->emf_tq) &&
-           scale_valid(servo->supply_duty) && servo->torque_limit_tq > 0 &&
-           servo->torque_limit_tq <= SERVO_TORQUE_MAX;
+           scale_valid(servo->velocity_tq) && scale_valid(servo->acceleration_tq) &&
+           scale_valid(servo->resistance_mV) && scale_valid(servo->emf_mV) &&
+           scale_valid(servo->emf_tq) && scale_valid(servo->supply_duty) &&
+           servo->torque_limit_tq > 0 && servo->torque_limit_tq <= SERVO_TORQUE_MAX;
 }
 
 static bool monitor_valid(const struct monitor_settings *monitor) {
@@ -57,6 +57,7 @@ bool settings_valid(const struct device_settings *settings) {
         return false;
     return settings->knot_shift >= 9 && settings->knot_shift <= 15 &&
            settings->servo_period_us > 0 && settings->sample_every > 0 &&
+           settings->servo.ahead_us <= 1 << settings->knot_shift && // what lies beyond may change
            settings->torque_step_tq > 0 && scale_valid(settings->knot_periods) &&
            settings->name[SETTINGS_NAME_MAX] == 0 && servo_valid(&settings->servo) &&
            monitor_valid(&settings->monitor) && home_valid(&settings->home) &&
@@ -77,12 +78,14 @@ static void visit_servo(struct fields *f, struct servo_settings *servo) {
     field_scale(f, &servo->ki_tq);
     field_scale(f, &servo->kd_tq);
     field_scale(f, &servo->velocity_tq);
+    field_scale(f, &servo->acceleration_tq);
     field_scale(f, &servo->resistance_mV);
     field_scale(f, &servo->emf_mV);
     field_scale(f, &servo->emf_tq);
     field_scale(f, &servo->supply_duty);
     field_i32(f, &servo->torque_limit_tq);
     field_bool(f, &servo->integrate_running);
+    field_u16(f, &servo->ahead_us);
 }
 
 static void visit_monitor(struct fields *f, struct monitor_settings *monitor) {

@@ -11,7 +11,7 @@
 #include "sync.h"
 
 #define SETTINGS_NAME_MAX 25   // bytes of UTF-8
-#define SETTINGS_FORMAT 2      // of their bytes; another one is not read
+#define SETTINGS_FORMAT 3      // of their bytes; another one is not read
 #define SETTINGS_BYTES_MAX 480 // of their bytes, at most
 
 struct device_settings {

@@ -1638,6 +1638,7 @@ class Servo:
         feedback = clamp(feedback + emf, number("feedback_limit_tq")) - emf
         self.unclipped = feedback + clamp(self.scaled(velocity, "velocity_tq"), most)
         self.unclipped += clamp(number("torque_tq"), most) + emf
+        self.unclipped += clamp(self.scaled(number("curve_pq"), "acceleration_tq"), most)
         torque = clamp(self.unclipped, limit)
         volts = clamp(self.scaled(torque - emf, "resistance_mV"), 1 << 20)
         volts += clamp(self.scaled(velocity, "emf_mV"), 1 << 20)
@@ -1686,8 +1687,8 @@ HEAD = fields(
     "dither_us 2, torque_step_tq -4, knot_periods 0, offset_count -4, carries_gravity 1"
 )
 SERVO = fields(
-    "kp_tq 0, ki_tq 0, kd_tq 0, velocity_tq 0, resistance_mV 0, emf_mV 0, emf_tq 0,"
-    "supply_duty 0, torque_limit_tq -4, integrate_running 1"
+    "kp_tq 0, ki_tq 0, kd_tq 0, velocity_tq 0, acceleration_tq 0, resistance_mV 0, emf_mV 0,"
+    "emf_tq 0, supply_duty 0, torque_limit_tq -4, integrate_running 1, ahead_us 2"
 )
 MONITOR = fields(
     "following_pq -4, following_periods 2, speed_pq -4, bounded 1, low_pq -4, high_pq -4,"
@@ -1735,7 +1736,7 @@ class Settings:
 
     def encoded(self, with_key: bool) -> bytes:
         keys = bytes.fromhex(self.given["key"] + self.given["peer_key"]) if with_key else b""
-        out = b"\2" + keys + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
+        out = b"\3" + keys + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
         out += bytes(self.numbers("gap_policy", 5))
         for sink in SINKS:
             continuous, *limits = self.numbers(sink, 6)
@@ -1771,6 +1772,7 @@ class Settings:
         most |= {"sync_method": 1, "drift_ppm": 300, "wander_ppb_s": 60_000}
         most |= dict.fromkeys(["to_device_least_us", "to_host_least_us", "limit_us"], 10**6)
         most |= {"peer_least_us": 10**6, "ask_us": 10**7}
+        most |= {"ahead_us": 2 ** self.number("knot_shift")}
         beside = {port for port in range(8) if self.number("neighbours") >> port & 1}
         if not beside <= PORTS - {0} or (beside and self.number("ask_us") < 1000):
             return False
@@ -1785,7 +1787,7 @@ class Settings:
 def decoded(data: bytes, with_key: bool, keys: dict[str, str]) -> str:
     """As the judge says settings; `keys` are those that were there."""
     reader = Reader(data)
-    if reader.take(1) != 2:
+    if reader.take(1) != 3:
         raise MalformedError
     values = dict(keys)
 

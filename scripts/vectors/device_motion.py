@@ -11,6 +11,7 @@ from bench import (
     INTERPOLATE,
     KD,
     KI,
+    KNOT_US,
     KP,
     PERIOD_US,
     POSITION,
@@ -362,6 +363,24 @@ def gains(b: Bench) -> None:
         b.until("HOLD", 300)
 
 
+def looking_ahead(b: Bench) -> None:
+    for ahead_us in (0, 700, 2500, KNOT_US):
+        b.scene(f"feed-forward by speed and acceleration, {ahead_us} us ahead", IDLE)
+        made = settings()
+        made.servo.velocity_tq, made.servo.acceleration_tq = _core.Scale(3, 4), _core.Scale(5, 3)
+        made.servo.ahead_us = ahead_us
+        b.adjust(made)
+        b.orders("ARM", "DONE", "ARMED")
+        b.go(4)
+        points = way(8, 6)
+        torque = [(i * 977) % 5000 for i in range(len(points) - 3)] + [700] * 3
+        torque[:3] = [0, 0, 0]
+        b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: torque})
+        b.go(60)
+        b.orders("STOP", "DONE", "TAIL")  # the ramp's acceleration is nobody's
+        b.until("HOLD", 300)
+
+
 GAPS = (  # policies of position and torque, missing knots, the gate's verdict, where it leads
     (INTERPOLATE, HOLD, 1, "accepted", "RUNNING"),
     (INTERPOLATE, HOLD, 4, "accepted", "RUNNING"),
@@ -629,6 +648,7 @@ SCENES = (
     started,
     moving,
     gains,
+    looking_ahead,
     gaps,
     homing,
     jogging,
