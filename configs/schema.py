@@ -549,6 +549,13 @@ class Config(Section):
         planned = self.mpc.enabled or self.mpc.feedforward != "none"
         mistakes = list[str]()
         for i, axis in self.machine.driven.items():
+            if axis.steps:
+                if planned or self.loop.gains != "off":
+                    mistakes.append(
+                        f"machine.axes.{i}.stepper takes positions alone, no effort and no gains: "
+                        "mpc.enabled: false, mpc.feedforward: none and loop.gains: off"
+                    )
+                continue
             servo, at = axis.servo, f"machine.axes.{i}.servo"
             mistakes += [
                 f"{at}.{servo.key(name)} would add to the effort that is planned for the same "

@@ -466,6 +466,7 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("torque_step_tq", &device_settings::torque_step_tq)
         .def_rw("knot_periods", &device_settings::knot_periods)
         .def_rw("offset_count", &device_settings::offset_count)
+        .def_rw("step_least_q16", &device_settings::step_least_q16)
         .def_rw("carries_gravity", &device_settings::carries_gravity)
         .def_rw("monitor", &device_settings::monitor)
         .def_rw("home", &device_settings::home)
@@ -624,14 +625,13 @@ static void bind_kernels(nb::module_ &m) {
         .def(
             "step",
             [](servo &s, const servo_settings &settings, int32_t position_pq, int32_t velocity_pq,
-               int32_t torque_tq, int32_t encoder_count, bool integrate, int32_t curve_pq) {
-                setpoint target{position_pq,    velocity_pq,         curve_pq,
-                                torque_tq,      settings.kp_tq,      settings.ki_tq,
-                                settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
+               int32_t torque_tq, int32_t encoder_count, bool integrate) {
+                setpoint target{position_pq,    velocity_pq,    torque_tq,           settings.kp_tq,
+                                settings.ki_tq, settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
                 return servo_step(&settings, &s, &target, servo_position_pq(encoder_count, false));
             },
             "settings"_a, "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "encoder_count"_a,
-            "integrate"_a = true, "curve_pq"_a = 0);
+            "integrate"_a = true);
     nb::class_<headway_clock>(m, "Clock")
         .def(
             "__init__",
@@ -777,6 +777,27 @@ static void bind_stops(nb::module_ &m) {
                 return nb::make_tuple((int)b.reason, b.value, b.limit);
             },
             "settings"_a, "seen"_a);
+    nb::class_<stepper>(m, "Stepper")
+        .def(
+            "__init__",
+            [](stepper *s, int32_t position_pq) {
+                new (s) stepper{};
+                stepper_begin(s, position_pq);
+            },
+            "position_pq"_a)
+        .def(
+            "step",
+            [](stepper &s, uint32_t least_q16, int32_t target_pq, uint32_t window_us) {
+                if (least_q16 == 0 || window_us == 0 || window_us >= 1 << 15)
+                    throw std::invalid_argument("a stepper has a rate, and a window of its own");
+                pulses p = stepper_step(&s, least_q16, target_pq, window_us);
+                return std::make_tuple(p.steps, p.first_q16, p.spacing_q16);
+            },
+            "least_q16"_a, "target_pq"_a, "window_us"_a)
+        .def("shift", [](stepper &s, int32_t by_count) { stepper_shift(&s, by_count); })
+        .def_ro("count", &stepper::count)
+        .def_ro("target_pq", &stepper::target_pq)
+        .def_ro("now_pq", &stepper::now_pq);
     nb::class_<ramp>(m, "Ramp")
         .def(
             "__init__",

@@ -47,9 +47,6 @@ int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
         servo->feedback_tq +
         fixed_scale_within(setpoint->velocity_pq, settings->velocity_tq, TERM_BITS) +
         fixed_clamp(setpoint->torque_tq, 1 << TERM_BITS) + emf_tq;
-    if (settings->acceleration_tq.mantissa != 0)
-        servo->unclipped_tq +=
-            fixed_scale_within(setpoint->curve_pq, settings->acceleration_tq, TERM_BITS);
     servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);
 
     int32_t voltage_mV =

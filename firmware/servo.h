@@ -21,13 +21,13 @@ struct servo_settings {
     struct scale ki_tq;           // torque / 2^6 per error and servo period [tq/pq]
     struct scale kd_tq;           // torque per error difference over one servo period [tq/pq]
     struct scale velocity_tq;     // torque per speed of the track [tq knot/pq]
-    struct scale acceleration_tq; // torque per acceleration of the track [tq knot^2/pq]
     struct scale resistance_mV;   // voltage per torque: R / (Kt gear) [mV/tq]
     struct scale emf_mV;          // voltage per speed of the track: Ke gear [mV knot/pq]
     struct scale emf_tq;          // torque that the back-EMF adds per error difference [tq/pq]
     struct scale supply_duty;     // duty per voltage: 1 / supply [1/mV]
     int32_t torque_limit_tq;      // output ceiling, <= SERVO_TORQUE_MAX
     bool integrate_running;       // else the integral rests while a plan runs
+    struct scale acceleration_tq; // torque per acceleration of the track [tq knot^2/pq]
     uint16_t ahead_us;            // so far ahead along the tracks feed-forward is taken
 };
 
@@ -46,7 +46,6 @@ struct servo {
 struct setpoint {
     int32_t position_pq;
     int32_t velocity_pq; // per knot interval
-    int32_t curve_pq;    // its acceleration, per knot interval squared
     int32_t torque_tq;
     struct scale kp, ki, kd;   // from the gain tracks, or the settings
     int32_t feedback_limit_tq; // of what the gains and the back-EMF add up to

@@ -131,7 +131,6 @@ static void servos(void) {
             struct setpoint setpoint = {
                 .position_pq = clip(extreme64(), GATE_POINT_MAX + 200),
                 .velocity_pq = extreme32(),
-                .curve_pq = extreme32(),
                 .torque_tq = extreme32(),
                 .kp = random_scale(),
                 .ki = random_scale(),

@@ -97,9 +97,7 @@ class ExactServo:
     torque: int = 0
     saturated: bool = False
 
-    def step(
-        self, position: int, velocity: int, torque: int, count: int, integrate: bool, curve: int = 0
-    ) -> int:
+    def step(self, position: int, velocity: int, torque: int, count: int, integrate: bool) -> int:
         def product(a: int, scale: _core.Scale) -> int:
             return (a * scale.mantissa) >> scale.shift
 
@@ -120,7 +118,6 @@ class ExactServo:
             product(error, s.kp_tq),
             product(difference, s.kd_tq),
             product(velocity, s.velocity_tq),
-            product(curve, s.acceleration_tq),
             torque,
         )
         self.unclipped = sum(clamp(t, 1 << 27) for t in terms)
@@ -138,26 +135,26 @@ positions = st.integers(-_core.POINT_MAX, _core.POINT_MAX) | st.sampled_from(
     [-_core.POINT_MAX, -1, 0, 1, _core.POINT_MAX]
 )
 counts = st.integers(-COUNT_MAX - 5, COUNT_MAX + 5) | int32s
-steps = st.lists(st.tuples(positions, int32s, int32s, counts, st.booleans(), int32s), max_size=20)
+steps = st.lists(st.tuples(positions, int32s, int32s, counts, st.booleans()), max_size=20)
 
 
 @given(
-    st.tuples(*[scales] * 9),
+    st.tuples(*[scales] * 8),
     st.integers(1, 1 << 25) | st.sampled_from([1, (1 << 25) - 1, 1 << 25]),
     steps,
 )
 def test_servo_is_exact_at_any_input(
     factors: tuple[_core.Scale, ...],
     limit: int,
-    inputs: list[tuple[int, int, int, int, bool, int]],
+    inputs: list[tuple[int, int, int, int, bool]],
 ) -> None:
     names = ("kp_tq", "ki_tq", "kd_tq", "velocity_tq", "resistance_mV", "emf_mV", "emf_tq")
-    names = (*names, "supply_duty", "acceleration_tq")
+    names = (*names, "supply_duty")
     settings = servo_settings(**dict(zip(names, factors, strict=True)), torque_limit_tq=limit)
     servo, exact = _core.Servo(), ExactServo(settings)
-    for position, velocity, torque, count, integrate, curve in inputs:
-        duty = servo.step(settings, position, velocity, torque, count, integrate, curve)
-        assert duty == exact.step(position, velocity, torque, count, integrate, curve)
+    for position, velocity, torque, count, integrate in inputs:
+        duty = servo.step(settings, position, velocity, torque, count, integrate)
+        assert duty == exact.step(position, velocity, torque, count, integrate)
         assert servo.unclipped_tq == exact.unclipped
         assert servo.torque_tq == exact.torque
         assert servo.integral == exact.integral
@@ -435,11 +432,11 @@ def test_integral_stops_at_the_voltage_too() -> None:
 
 
 @given(steps)
-def test_integrator_rests(inputs: list[tuple[int, int, int, int, bool, int]]) -> None:
+def test_integrator_rests(inputs: list[tuple[int, int, int, int, bool]]) -> None:
     settings = servo_settings(ki_tq=_core.Scale(65535, 10), kp_tq=_core.Scale(1, 3))
     servo = _core.Servo()
     servo.integral = 12345
-    for position, velocity, torque, count, *_ in inputs:
+    for position, velocity, torque, count, _ in inputs:
         servo.step(settings, position, velocity, torque, count, integrate=False)
         assert servo.integral == 12345
 

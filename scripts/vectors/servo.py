@@ -12,16 +12,14 @@ FREE = 1 << 30  # a feedback limit that never acts
 NONE: list[int] = [0, 0]
 SCALES = (
     *("kp_tq", "ki_tq", "kd_tq", "velocity_tq", "resistance_mV", "emf_mV", "emf_tq"),
-    *("acceleration_tq", "supply_duty", "kp", "ki", "kd"),
+    *("supply_duty", "kp", "ki", "kd"),
 )
 USUAL: dict[str, Value] = {
     **dict.fromkeys(SCALES, NONE), "torque_limit_tq": 1 << 24, "position_pq": 0, "velocity_pq": 0,
-    "curve_pq": 0,
     "torque_tq": 0, "feedback_limit_tq": FREE, "integrate": 0,
 }  # fmt: skip
 REAL: dict[str, Value] = {  # arm2's first axis, about
-    "velocity_tq": [48_000, 16], "acceleration_tq": [52_000, 14],
-    "resistance_mV": [54_613, 26], "emf_mV": [40_000, 24],
+    "velocity_tq": [48_000, 16], "resistance_mV": [54_613, 26], "emf_mV": [40_000, 24],
     "emf_tq": [47_000, 6], "supply_duty": [44_739, 16], "kp": [38_603, 11], "ki": [9000, 15],
     "kd": [60_000, 3], "torque_limit_tq": 12_000_000,
 }  # fmt: skip
@@ -63,7 +61,6 @@ def _terms() -> Iterator[str]:
         ("kp", "position_pq"),
         ("kd", "position_pq"),
         ("velocity_tq", "velocity_pq"),
-        ("acceleration_tq", "curve_pq"),
     ):
         for mantissa, shift in ((3, 1), (1, 0), (4, 0), (65535, 0)):
             yield line("servo", **{name: [mantissa, shift], "torque_limit_tq": 1 << 25})
@@ -153,7 +150,6 @@ def _walk(rng: Random) -> Iterator[str]:
             yield _step(
                 position_pq=position, velocity_pq=velocity, measured_pq=measured,
                 torque_tq=rng.randrange(-9_000_000, 9_000_000),
-                curve_pq=rng.randrange(-600_000, 600_000),
                 feedback_limit_tq=rng.choice([FREE, FREE, 100_000]),
             )  # fmt: skip
     for _ in range(60):
@@ -163,7 +159,7 @@ def _walk(rng: Random) -> Iterator[str]:
         for _ in range(3):
             values = {
                 name: rng.choice([INT_MIN, INT_MAX, rng.randrange(INT_MIN, INT_MAX)])
-                for name in ("position_pq", "velocity_pq", "curve_pq", "torque_tq", "measured_pq")
+                for name in ("position_pq", "velocity_pq", "torque_tq", "measured_pq")
             }
             values["position_pq"] = max(-(1 << 30), min(1 << 30, values["position_pq"]))
             yield _step(**values)

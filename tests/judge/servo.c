@@ -7,7 +7,6 @@
     X(settings, ki_tq)                                                                             \
     X(settings, kd_tq)                                                                             \
     X(settings, velocity_tq)                                                                       \
-    X(settings, acceleration_tq)                                                                   \
     X(settings, resistance_mV)                                                                     \
     X(settings, emf_mV)                                                                            \
     X(settings, emf_tq)                                                                            \
@@ -35,8 +34,6 @@ static void take(void) {
         setpoint.position_pq = (int32_t)given("position_pq");
     if (is_given("velocity_pq"))
         setpoint.velocity_pq = (int32_t)given("velocity_pq");
-    if (is_given("curve_pq"))
-        setpoint.curve_pq = (int32_t)given("curve_pq");
     if (is_given("torque_tq"))
         setpoint.torque_tq = (int32_t)given("torque_tq");
     if (is_given("feedback_limit_tq"))

@@ -58,7 +58,8 @@
     X(skew_gain_q8, sync.average.skew_gain_q8)                                                     \
     X(neighbours, neighbours)                                                                      \
     X(ask_us, ask_us)                                                                              \
-    X(peer_least_us, peer_least_us)
+    X(peer_least_us, peer_least_us)                                                                \
+    X(step_least_q16, step_least_q16)
 
 #define SCALES(X)                                                                                  \
     X(knot_periods, knot_periods)                                                                  \
