@@ -60,7 +60,14 @@ class LinearMotor(Motor):
     """Angle of the motor per way of the joint."""
 
 
-class RotaryServo(Section):
+class _Servo(Section):
+    ahead_us: Annotated[int, Field(ge=0, le=32768)] | None = None
+    """How far ahead along the tracks all feed-forward is taken; at most a knot. Default: half a
+    servo period, the middle of the time for which an output holds. A motor whose torque lags takes
+    more."""
+
+
+class RotaryServo(_Servo):
     """The device's PID, at a rotary joint."""
 
     kp: NotNegative = Field(alias="kp_Nm_per_rad")
@@ -69,9 +76,14 @@ class RotaryServo(Section):
     """Integral gain."""
     kd: NotNegative = Field(alias="kd_Nm_s_per_rad")
     """Derivative gain, on the change of the following error."""
+    velocity: NotNegative = Field(default=0.0, alias="velocity_Nm_s_per_rad")
+    """Feed-forward by the position track's speed: what viscous friction takes. Where no torque is
+    planned alone: mpc.enabled: false and mpc.feedforward: none."""
+    acceleration: NotNegative = Field(default=0.0, alias="acceleration_Nm_s2_per_rad")
+    """Feed-forward by its acceleration: the inertia at the joint. Under the same condition."""
 
 
-class LinearServo(Section):
+class LinearServo(_Servo):
     """The device's PID, at a linear joint."""
 
     kp: NotNegative = Field(alias="kp_N_per_m")
@@ -80,6 +92,11 @@ class LinearServo(Section):
     """Integral gain."""
     kd: NotNegative = Field(alias="kd_N_s_per_m")
     """Derivative gain, on the change of the following error."""
+    velocity: NotNegative = Field(default=0.0, alias="velocity_N_s_per_m")
+    """Feed-forward by the position track's speed: what viscous friction takes. Where no force is
+    planned alone: mpc.enabled: false and mpc.feedforward: none."""
+    acceleration: NotNegative = Field(default=0.0, alias="acceleration_N_s2_per_m")
+    """Feed-forward by its acceleration: the mass that moves. Under the same condition."""
 
 
 class _Homing(Section):
@@ -115,6 +132,74 @@ class LinearHoming(_Homing):
     """Of the feedback at most: what a mechanical stop has to bear."""
     way: Positive = Field(alias="way_m")
     """The longest search."""
+
+
+class _Search(Section):
+    """How the board finds out where its axis is: its pulses begin to count at power-up."""
+
+    method: Literal["index", "switch"]
+    """The mark: an index pulse each turn, or a home switch."""
+    backwards: bool = False
+    """The direction of the search."""
+
+    @property
+    def effort(self) -> None:
+        """Nobody feels a stop."""
+        return None
+
+
+class RotarySearch(_Search):
+    """Homing of a rotary axis with a stepper."""
+
+    mark: Finite = Field(alias="mark_rad")
+    """The position of the mark."""
+    speed: Positive = Field(alias="speed_rad_per_s")
+    """Of the search."""
+    way: Positive = Field(alias="way_rad")
+    """The longest search."""
+
+
+class LinearSearch(_Search):
+    """Homing of a linear axis with a stepper."""
+
+    mark: Finite = Field(alias="mark_m")
+    """The position of the mark."""
+    speed: Positive = Field(alias="speed_m_per_s")
+    """Of the search."""
+    way: Positive = Field(alias="way_m")
+    """The longest search."""
+
+
+class _Stepper(Section):
+    rate: Positive = Field(alias="steps_per_s")
+    """The largest rate: no pulse comes sooner after another one, whatever their directions. Plans
+    have 1/1024 less."""
+    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
+    """Steps in a full step of the motor."""
+    supply_V: Positive
+    """Of the driver."""
+    supply_min_V: Positive | None = None
+    """The board stops below it. Default: 70 % of supply_V."""
+    supply_max_V: Positive | None = None
+    """The board stops above it. Default: 125 % of supply_V."""
+
+
+class RotaryStepperMotor(_Stepper):
+    """A stepping motor with its driver, at a rotary joint."""
+
+    holding: Positive = Field(alias="holding_torque_Nm")
+    """What it holds at most, at the joint."""
+    damping: Positive = Field(alias="damping_Nm_s_per_rad")
+    """With which its windings brake it, at the joint."""
+
+
+class LinearStepperMotor(_Stepper):
+    """A stepping motor with its driver, at a linear joint."""
+
+    holding: Positive = Field(alias="holding_force_N")
+    """What it holds at most, at the joint."""
+    damping: Positive = Field(alias="damping_N_s_per_m")
+    """With which its windings brake it, at the joint."""
 
 
 class _Axis(Section):
@@ -177,6 +262,11 @@ class _Driven(_Axis):
         return False
 
     @property
+    def steps(self) -> bool:
+        """That is a stepper, without a servo."""
+        return False
+
+    @property
     def deceleration(self) -> float:
         """Of the board's own stop: SI."""
         axis: Any = self
@@ -190,6 +280,60 @@ class _Driven(_Axis):
         given: float | None = axis.following_limit
         low, high = self.poses
         return (high - low) / 8 if given is None else given
+
+
+FULL_STEPS = 4  # of a cycle of a stepper's currents
+
+
+class _Stepping(_Driven):
+    """A stepper pulls at its rotor like a spring, whose end is where the steps are: near there, a
+    servo with a proportional gain alone."""
+
+    @property
+    def steps(self) -> bool:
+        return True
+
+    def _wrong_ends(self) -> list[str]:
+        axis: Any = self
+        own, most, mistakes = axis.stepper, axis.stepper.holding / axis.stepper.damping, []
+        if axis.velocity_limit >= most:
+            mistakes = [
+                f"{self.key('velocity_limit')} is {axis.velocity_limit:g}, but at {most:.4g} "
+                f"stepper.{own.key('damping')} alone takes all of stepper.{own.key('holding')}: "
+                "lower it or the damping"
+            ]
+        return super()._wrong_ends() + mistakes
+
+    @property
+    def cycle(self) -> int:
+        """Steps in a cycle of its currents: half of it away the rotor is lost to another tooth."""
+        axis: Any = self
+        return FULL_STEPS * int(axis.stepper.microsteps)
+
+    @property
+    def effort_limit(self) -> float:
+        axis: Any = self
+        return float(axis.stepper.holding)
+
+    @property
+    def stiffness(self) -> float:
+        """Effort per way, at its steps: SI."""
+        axis: Any = self
+        return self.effort_limit * 2 * math.pi * float(axis.counts_per_unit) / self.cycle
+
+    @property
+    def motor(self) -> Motor:
+        """One that brakes as its windings do."""
+        axis: Any = self
+        own = axis.stepper
+        return Motor.model_construct(
+            gear=1.0,
+            torque_constant_Nm_per_A=1.0,
+            resistance_ohm=1 / own.damping,
+            supply_V=own.supply_V,
+            supply_min_V=own.supply_min_V,
+            supply_max_V=own.supply_max_V,
+        )
 
 
 class _NoMotor(_Axis):
@@ -387,6 +531,79 @@ class LinearAxis(_LinearEncoder, _Driven):
     """How the board finds out where the axis is. Default: the encoder knows."""
 
 
+class RotaryStepper(_Stepping, _Rotary):
+    """A hinge with its stepper and board, which counts its steps."""
+
+    steps_per_turn: Annotated[int, Field(ge=16, le=2**22)]
+    """Steps per turn of the joint, microsteps and gear included."""
+    velocity_limit: Positive = Field(alias="velocity_limit_rad_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_rad_per_s2")
+    """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_rad_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_rad")
+    """The board stops when its steps are further behind. Default: an eighth of the range, or of a
+    turn."""
+    stepper: RotaryStepperMotor
+    """The motor and its driver."""
+    homing: RotarySearch
+    """How the board finds out where the axis is."""
+
+    @classmethod
+    def key(cls, attribute: str) -> str:
+        if attribute == "effort_limit":
+            return f"stepper.{RotaryStepperMotor.key('holding')}"
+        return super().key(attribute)
+
+    @property
+    def counts_per_unit(self) -> float:
+        """Steps per radian."""
+        return self.steps_per_turn / (2 * math.pi)
+
+    @property
+    def servo(self) -> RotaryServo:
+        """What the motor does by itself, as a servo's gains: no key of the config."""
+        return RotaryServo.model_construct(kp=self.stiffness, kd=0.0)
+
+
+class LinearStepper(_Stepping, _Linear):
+    """A slide with its stepper and board, which counts its steps."""
+
+    steps_per_m: Annotated[float, Field(ge=16, le=1e10)]
+    """Steps per metre of the joint's way, microsteps and screw included."""
+    velocity_limit: Positive = Field(alias="velocity_limit_m_per_s")
+    """Of a plan, in either direction."""
+    acceleration_limit: Positive = Field(alias="acceleration_limit_m_per_s2")
+    """Of a plan, in either direction."""
+    stop_deceleration: Positive | None = Field(default=None, alias="stop_deceleration_m_per_s2")
+    """With which the board stops by itself, and always could before a position limit. Default: a
+    tenth of the acceleration limit."""
+    following_limit: Positive | None = Field(default=None, alias="following_limit_m")
+    """The board stops when its steps are further behind. Default: an eighth of the range."""
+    stepper: LinearStepperMotor
+    """The motor and its driver."""
+    homing: LinearSearch
+    """How the board finds out where the axis is."""
+
+    @classmethod
+    def key(cls, attribute: str) -> str:
+        if attribute == "effort_limit":
+            return f"stepper.{LinearStepperMotor.key('holding')}"
+        return super().key(attribute)
+
+    @property
+    def counts_per_unit(self) -> float:
+        """Steps per metre."""
+        return self.steps_per_m
+
+    @property
+    def servo(self) -> LinearServo:
+        """What the motor does by itself, as a servo's gains: no key of the config."""
+        return LinearServo.model_construct(kp=self.stiffness, kd=0.0)
+
+
 class RotaryPassive(_RotaryEncoder, _Passive):
     """A hinge without a motor: its encoder and board."""
 
@@ -502,6 +719,14 @@ def _either(rotary: type[Section], linear: type[Section], given: Any) -> Section
 def _read_axis(value: Any, _: object) -> Section:
     if isinstance(value, _Axis):
         return value
+    if isinstance(value, dict) and "stepper" in value:
+        others = sorted(_given(value) & {"motor", "servo", "passive", "counts_per_turn"})
+        if others:
+            raise ValueError(
+                f"an axis with a stepper has no {others[0]}: remove it, or stepper (its steps are "
+                "steps_per_turn or steps_per_m)"
+            )
+        return _either(RotaryStepper, LinearStepper, value)
     if not isinstance(value, dict) or "passive" not in value:
         return _either(RotaryAxis, LinearAxis, value)
     drive = sorted(_given(value) & {"motor", "servo"})
@@ -519,7 +744,8 @@ def _read_sine(value: Any, _: object) -> Section:
     return value if isinstance(value, _Sine) else _either(RotarySine, LinearSine, value)
 
 
-DrivenAxis = RotaryAxis | LinearAxis
+StepperAxis = RotaryStepper | LinearStepper
+DrivenAxis = RotaryAxis | LinearAxis | StepperAxis
 PassiveAxis = RotaryPassive | LinearPassive
 BareAxis = RotaryBare | LinearBare
 Axis = Annotated[DrivenAxis | PassiveAxis | BareAxis, WrapValidator(_read_axis)]

@@ -581,6 +581,7 @@ class Config(Section):
             if mishap.kind != "push"
             and mishap.joint in {axis.joint for axis in self.machine.bare.values()}
         ]
+        mistakes += self._of_feed_forward()
         mistakes += self._of_cables([axis.joint for axis in self.machine.boards])
         heavy = [axis.joint for axis in self.machine.driven.values() if axis.carries_gravity]
         if self.device.torque_gap == "zero" and heavy:
@@ -604,6 +605,32 @@ class Config(Section):
             task = task.model_copy(update={"parameters": task.parameters | later.parameters})
             found.append(self.model_copy(update={"mpc": mpc, "task": task}))
         return found
+
+    def _of_feed_forward(self) -> list[str]:
+        """What the servos add by the position track alone, beside what is planned."""
+        planned = self.mpc.enabled or self.mpc.feedforward != "none"
+        mistakes = list[str]()
+        for i, axis in self.machine.driven.items():
+            if axis.steps:
+                if planned or self.loop.gains != "off":
+                    mistakes.append(
+                        f"machine.axes.{i}.stepper takes positions alone, no effort and no gains: "
+                        "mpc.enabled: false, mpc.feedforward: none and loop.gains: off"
+                    )
+                continue
+            servo, at = axis.servo, f"machine.axes.{i}.servo"
+            mistakes += [
+                f"{at}.{servo.key(name)} would add to the effort that is planned for the same "
+                "motion: leave it out, or plan none by mpc.enabled: false and mpc.feedforward: none"
+                for name in ("velocity", "acceleration")
+                if planned and getattr(servo, name) > 0
+            ]
+            if servo.ahead_us is not None and servo.ahead_us > self.loop.knot_us:
+                mistakes.append(
+                    f"{at}.ahead_us is {servo.ahead_us}; tracks are settled for a knot ahead: at "
+                    f"most loop.knot_us = {self.loop.knot_us}"
+                )
+        return mistakes
 
     def _of_cables(self, joints: list[str]) -> list[str]:
         """What does not fit together about the cables between boards."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from headway.configs.axis import Axis, DrivenAxis
+from headway.configs.axis import Axis, DrivenAxis, StepperAxis
 from headway.configs.schema import Device, Loop, Sync
 from headway.devices.axis import (
     AxisUnits,
@@ -31,6 +31,7 @@ JOG_EFFORT_SHARE = 0.25  # of the effort limit, what the feedback may add to wha
 SLOW_Q16 = 2**30 - 1  # the fastest that a board homes or jogs, in its own quanta
 SYNC_METHODS = ["bounds", "average"]
 SPIKE_MAX = 2**18 - 1  # counts: none is one
+PLAN_RATE_SHARE = 1023 / 1024  # of a stepper's rate: its clock may run faster than its counter
 STILL_S = 0.08  # pushing against a stop without a count
 
 
@@ -79,22 +80,10 @@ def _drive(settings: _core.DeviceSettings, axis: DrivenAxis, device: Device, loo
     """The motor and its servo, what it may do and what it does about gaps."""
     units = AxisUnits.of(axis, loop)
     period_s = device.servo_period_us * 1e-6
-    tq_per_pq = units.tq_per_effort / units.pq_per_unit
-    motor, scales = axis.motor, gain_scales(axis, device, units)
     servo = _core.ServoSettings()
-    servo.kp_tq = scales[_core.TRACK_KP]
-    servo.ki_tq = scales[_core.TRACK_KI]
-    servo.kd_tq = scales[_core.TRACK_KD]
-    servo.velocity_tq = scale_of(0.0)
-    servo.resistance_mV = scale_of(
-        1e3 * motor.resistance_ohm / motor.constant / units.tq_per_effort
-    )
-    servo.emf_mV = scale_of(1e3 * motor.constant / (units.pq_per_unit * units.knot_s))
-    servo.emf_tq = scale_of(motor.damping / period_s * tq_per_pq)
-    servo.supply_duty = scale_of(32768 / (1e3 * motor.supply_V))
     servo.torque_limit_tq = round(axis.effort_limit * units.tq_per_effort)
-    servo.integrate_running = device.integrate_while_running
-
+    if not isinstance(axis, StepperAxis):
+        _servo(servo, axis, device, units)
     settings.torque_step_tq = math.ceil(servo.torque_limit_tq * period_s / TORQUE_SLEW_S)
     settings.carries_gravity = axis.carries_gravity
     settings.servo = servo
@@ -105,9 +94,68 @@ def _drive(settings: _core.DeviceSettings, axis: DrivenAxis, device: Device, loo
     policies = _core.GAP_POLICIES
     settings.set_gap_policy(_core.TRACK_POSITION, policies.index(device.position_gap))
     settings.set_gap_policy(_core.TRACK_TORQUE, policies.index(device.torque_gap))
+    if isinstance(axis, StepperAxis):
+        settings.step_least_q16 = step_least_q16(axis, device, loop)
+        return
     for sink, limits in gain_limits(axis, device, units).items():
         settings.set_limits(sink, limits)
         settings.set_gap_policy(sink, policies.index("hold"))
+
+
+def step_least_q16(axis: StepperAxis, device: Device, loop: Loop) -> int:
+    """From a step to the next one at least [1/65536 us].
+
+    Raises ValueError, with what is possible, for limits with which a board could not keep its
+    promises (firmware/settings.c has them).
+    """
+    period_s, key = device.servo_period_us * 1e-6, axis.stepper.key("rate")
+    least_q16 = math.ceil(65536e6 / axis.stepper.rate)
+    _fit(least_q16, f"the time between two steps by {axis.joint}: stepper.{key}", 2**32 - 1)
+    rate = 65536e6 / least_q16
+    if 2 * device.servo_period_us > loop.knot_us:
+        raise ValueError(
+            f"{axis.joint}: a stepper's board is a servo period ahead: device.servo_period_us is "
+            f"at most half of loop.knot_us, {loop.knot_us // 2}"
+        )
+    for name, value, most in (
+        ("velocity_limit", axis.velocity_limit, PLAN_RATE_SHARE * rate / axis.counts_per_unit),
+        ("acceleration_limit", axis.acceleration_limit, 2 / period_s**2 / axis.counts_per_unit),
+    ):
+        if value > most:
+            raise ValueError(
+                f"{axis.joint}: {axis.key(name)} is {value:g}; with steps at {rate:g} a second and "
+                f"this servo period it can be {most:.6g} at most"
+            )
+    most = PLAN_RATE_SHARE * rate / axis.counts_per_unit
+    if axis.homing.speed > most:
+        raise ValueError(
+            f"{axis.joint}: homing.{axis.homing.key('speed')} is {axis.homing.speed:g}; with steps "
+            f"at {rate:g} a second it can be {most:.6g} at most"
+        )
+    return least_q16
+
+
+def _servo(servo: _core.ServoSettings, axis: DrivenAxis, device: Device, units: AxisUnits) -> None:
+    """Of a motor that follows its setpoint by feedback."""
+    period_s = device.servo_period_us * 1e-6
+    tq_per_pq = units.tq_per_effort / units.pq_per_unit
+    motor, scales = axis.motor, gain_scales(axis, device, units)
+    servo.kp_tq = scales[_core.TRACK_KP]
+    servo.ki_tq = scales[_core.TRACK_KI]
+    servo.kd_tq = scales[_core.TRACK_KD]
+    servo.velocity_tq, servo.acceleration_tq = (
+        _track_scale(axis, name, tq_per_pq / units.knot_s**order)
+        for order, name in enumerate(("velocity", "acceleration"), 1)
+    )
+    ahead_us = axis.servo.ahead_us
+    servo.ahead_us = device.servo_period_us // 2 if ahead_us is None else ahead_us
+    servo.resistance_mV = scale_of(
+        1e3 * motor.resistance_ohm / motor.constant / units.tq_per_effort
+    )
+    servo.emf_mV = scale_of(1e3 * motor.constant / (units.pq_per_unit * units.knot_s))
+    servo.emf_tq = scale_of(motor.damping / period_s * tq_per_pq)
+    servo.supply_duty = scale_of(32768 / (1e3 * motor.supply_V))
+    servo.integrate_running = device.integrate_while_running
 
 
 def monitor_settings(axis: DrivenAxis, device: Device, loop: Loop) -> _core.MonitorSettings:
@@ -178,7 +226,8 @@ def home_settings(axis: DrivenAxis, device: Device, units: AxisUnits) -> _core.H
     effort, method = JOG_EFFORT_SHARE * axis.effort_limit, "none"
     home = _core.HomeSettings()
     if homing is not None:
-        effort, method = homing.effort, homing.method
+        method = homing.method
+        effort = effort if homing.effort is None else homing.effort
         home.backwards = homing.backwards
         home.mark_count = round(homing.mark * axis.counts_per_unit)
         home.way_counts = round(homing.way * axis.counts_per_unit)
@@ -191,6 +240,18 @@ def home_settings(axis: DrivenAxis, device: Device, units: AxisUnits) -> _core.H
     home.acceleration_q16 = max(1, round(home.speed_q16 * period_s / JOG_RAMP_S))
     home.torque_tq = round(effort * units.tq_per_effort)
     return home
+
+
+def _track_scale(axis: DrivenAxis, name: str, factor: float) -> _core.Scale:
+    """A gain on what the position track does. Raises ValueError where it does not fit."""
+    gain: float = getattr(axis.servo, name)
+    try:
+        return scale_of(gain * factor)
+    except ValueError as error:
+        raise ValueError(
+            f"{axis.joint}: servo.{axis.servo.key(name)} is {gain:g}; with this knot and encoder "
+            f"it can be 0, or {2.0**-31 / factor:.3g} to {65535 / factor:.3g}"
+        ) from error
 
 
 def _fit(value: float, name: str, most: int) -> int:

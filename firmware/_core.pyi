@@ -255,12 +255,14 @@ class ServoSettings:
     ki_tq: Scale
     kd_tq: Scale
     velocity_tq: Scale
+    acceleration_tq: Scale
     resistance_mV: Scale
     emf_mV: Scale
     emf_tq: Scale
     supply_duty: Scale
     torque_limit_tq: int
     integrate_running: bool
+    ahead_us: int
     def __init__(self) -> None: ...
 
 class MonitorSettings:
@@ -315,6 +317,7 @@ class DeviceSettings:
     torque_step_tq: int
     knot_periods: Scale
     offset_count: int
+    step_least_q16: int
     carries_gravity: bool
     servo: ServoSettings
     monitor: MonitorSettings
@@ -513,6 +516,21 @@ class Monitor:
     def begin(self) -> None: ...
     def step(self, settings: MonitorSettings, seen: Observation) -> tuple[int, int, int]:
         """Reason, value and limit; reason 0 if there is no breach."""
+
+class Stepper:
+    """Step and direction pulses along a setpoint, see stepper.h."""
+
+    def __init__(self, position_pq: int) -> None: ...
+    def step(self, least_q16: int, target_pq: int, window_us: int) -> tuple[int, int, int]:
+        """One window's steps, when the first comes and then each [1/65536 us]."""
+
+    def shift(self, by_count: int, /) -> None: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def target_pq(self) -> int: ...
+    @property
+    def now_pq(self) -> int: ...
 
 class Ramp:
     """The stop ramp; step() is one servo period."""

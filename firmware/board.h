@@ -31,6 +31,12 @@ void board_set_power(struct board *board, bool on);         // the bridge; off: 
 void board_set_duty(struct board *board, int32_t duty_q15); // PWM duty, +-32767 / 32768
 void board_set_brake(struct board *board, bool engaged);
 
+// Of a stepper: so many steps, below 0 backwards, the first so long after a count to come, then one each
+// `spacing_q16` [1/65536 us]. The board gives them by itself, after those that it has. Without an encoder
+// in steps its encoder's count is that of the steps that it has given.
+void board_step(struct board *board, uint32_t count_us, int32_t steps, uint32_t first_q16,
+                uint32_t spacing_q16);
+
 bool board_stop_line(const struct board *board);   // true: the emergency line is open
 bool board_home_switch(const struct board *board); // true: on the switch
 // True once after each index pulse; `count` is the encoder's at the pulse.

@@ -19,6 +19,7 @@ void device_configure(struct device *device, const struct device_settings *setti
     device->offset_count = settings->offset_count;
     device_locate(device); // what is asked for next may rely on it
     device->brake_periods = settings->brake_periods;
+    device->steps = settings->step_least_q16 != 0;
     device->steer_every = (uint16_t)(DEVICE_STEER_US / settings->servo_period_us);
     device->status.homed = settings->home.method == HOME_NONE;
 }

@@ -23,6 +23,7 @@
 #include "signals.h"
 #include "states.h"
 #include "status.h"
+#include "stepper.h"
 #include "sync.h"
 #include "track.h"
 
@@ -31,6 +32,7 @@
 #define DEVICE_DITHER_EVERY 4      // one status in so many leaves a little later
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
+#define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
 #define DEVICE_STEER_US 1000 // from one steering of the clock to the next, if periods are shorter
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
 
@@ -47,6 +49,7 @@ struct device {
     int32_t hold_pq, hold_tq;
     bool configured; // else it has no settings and no key, and does nothing
     bool power, brake;
+    bool steps;             // it has a stepper, which needs no servo
     bool trusted;           // encoder and servo, to ramp down by
     bool status_waits;      // the last one has not left yet ...
     uint32_t status_us;     // ... and does at this count
@@ -67,6 +70,7 @@ struct device {
     uint32_t heard_count_us; // at which the host's last stamps arrived
     struct status status;
     struct ramp ramp;
+    struct stepper stepper;
     struct home home;
     struct history history;
     struct session session;

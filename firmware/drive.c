@@ -4,6 +4,8 @@
 #include "store.h" // the fault log
 #include <string.h>
 
+#define ACCELERATION_BITS 27 // with a torque track's it cannot overflow
+
 // Where the setpoint comes from.
 enum source {
     SOURCE_NONE,   // nothing to drive, or the guard has the output
@@ -34,12 +36,11 @@ static void from_tracks(struct device *device, const struct instant *now,
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
     struct track *tracks = device->tracks;
-    // The output holds for a whole period, so feed-forward is taken at the period's middle.
-    struct instant middle = instant_after(now, settings->servo_period_us / 2, settings->knot_shift);
+    // The output holds for a whole period: the least that feed-forward leads by is half of it.
+    struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
-    setpoint->velocity_pq =
-        span_rate(track_span(&tracks[TRACK_POSITION], middle.knot), middle.phase);
-    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &middle);
+    setpoint->velocity_pq = span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
+    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
     setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
     setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
     setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
@@ -47,13 +48,26 @@ static void from_tracks(struct device *device, const struct instant *now,
     setpoint->integrate = servo->integrate_running;
 }
 
-// At a place of its own, with the settings' gains.
-static void at(const struct device *device, int32_t position_pq, int32_t period_pq,
-               int32_t torque_tq, struct setpoint *setpoint) {
+// What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
+static __attribute__((noinline)) int32_t accelerating(const struct device *device,
+                                                      const struct instant *now) {
+    const struct device_settings *settings = &device->settings;
+    struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
+    int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
+    return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
+}
+
+// A place beside the tracks, how it moves in a period, and the torque that is needed there.
+struct pose {
+    int32_t position_pq, period_pq, torque_tq;
+};
+
+// There, with the settings' gains.
+static void at(const struct device *device, struct pose pose, struct setpoint *setpoint) {
     const struct servo_settings *servo = &device->settings.servo;
-    setpoint->position_pq = position_pq;
-    setpoint->velocity_pq = fixed_scale(period_pq, device->settings.knot_periods);
-    setpoint->torque_tq = torque_tq;
+    setpoint->position_pq = pose.position_pq;
+    setpoint->velocity_pq = fixed_scale(pose.period_pq, device->settings.knot_periods);
+    setpoint->torque_tq = pose.torque_tq;
     setpoint->kp = servo->kp_tq;
     setpoint->ki = servo->ki_tq;
     setpoint->kd = servo->kd_tq;
@@ -117,6 +131,13 @@ static bool brake_wanted(const struct device *device, enum source source) {
     }
 }
 
+// A stepper without current may be turned, and nobody counts.
+static void switch_off(struct device *device) {
+    if (device->power && device->steps)
+        device->status.homed = false;
+    device->power = false;
+}
+
 static void set_brake(struct device *device, bool on) {
     if (device->brake != on)
         device->brake_periods = 0;
@@ -125,13 +146,13 @@ static void set_brake(struct device *device, bool on) {
     device->brake = on;
     bool settled = device->brake_periods == device->settings.brake_periods;
     if (settled && on && !(device->state >= DEVICE_ARMED && device->state <= DEVICE_HOLD))
-        device->power = false; // the brake has it
+        switch_off(device); // the brake has it
     if (device->guard.verdict == GUARD_OFF)
-        device->power = false;
+        switch_off(device);
     device->status.released = settled && !on;
 }
 
-static void run_task(struct device *device, struct board *board, struct setpoint *setpoint) {
+static struct pose run_task(struct device *device, struct board *board) {
     struct home *home = &device->home;
     const struct home_settings *settings = &device->settings.home;
     struct home_marks marks = {.count = device->encoder_count,
@@ -148,6 +169,7 @@ static void run_task(struct device *device, struct board *board, struct setpoint
             device->offset_count = home->offset_count;
             device_locate(device);
             position_pq = fixed_sum(position_pq, servo_position_pq(moved_count, true));
+            stepper_shift(&device->stepper, moved_count);
             if (settings->method == HOME_STOP) { // no longer into it
                 position_pq = device->position_pq;
                 device->servo.primed = false;
@@ -158,42 +180,57 @@ static void run_task(struct device *device, struct board *board, struct setpoint
         home->task = TASK_NONE;
         monitor_begin(&device->monitor);
     }
-    at(device, position_pq, velocity_pq, device->hold_tq, setpoint);
-    setpoint->feedback_limit_tq = settings->torque_tq;
+    struct pose pose = {position_pq, velocity_pq, device->hold_tq};
     if (result == TASK_FAILED) {
         struct breach breach = {REASON_HOMING,
                                 fixed_difference(device->encoder_count, home->start_count),
                                 settings->way_counts};
         happen_breach(device, breach, board_count_us(board));
     }
+    return pose;
 }
 
-static void run_ramp(struct device *device, struct setpoint *setpoint) {
+static struct pose run_ramp(struct device *device) {
     const struct device_settings *settings = &device->settings;
     struct ramp *ramp = &device->ramp;
-    if (ramp->begun)
-        ramp_step(ramp, settings->monitor.deceleration_q16, settings->torque_step_tq);
-    else
+    const struct stepper *stepper = &device->stepper;
+    bool begins = !ramp->begun, steps = device->steps;
+    if (begins && steps) // from what its pulses do: it has to go on as it does
+        ramp_start(ramp, stepper->target_pq, fixed_difference(stepper->target_pq, stepper->now_pq),
+                   device->hold_tq, device->hold_tq);
+    else if (begins)
         ramp_start(ramp, device->position_pq, monitor_speed_pq(&device->monitor),
                    device->setpoint.torque_tq, device->hold_tq);
+    if (!begins || steps)
+        ramp_step(ramp, settings->monitor.deceleration_q16, settings->torque_step_tq);
     device->hold_pq = ramp_position_pq(ramp);
-    at(device, device->hold_pq, ramp_velocity_pq(ramp), ramp->torque_tq, setpoint);
+    return (struct pose){device->hold_pq, ramp_velocity_pq(ramp), ramp->torque_tq};
+}
+
+// Where there are no tracks to follow. Apart, and called: so the servo's setpoint stays in registers.
+static __attribute__((noinline)) struct pose lead(struct device *device, struct board *board,
+                                                  enum source source) {
+    if (source == SOURCE_RAMP)
+        return run_ramp(device);
+    if (source == SOURCE_TASK)
+        return run_task(device, board);
+    return (struct pose){device->hold_pq, 0, device->hold_tq};
 }
 
 static void find_setpoint(struct device *device, struct board *board, const struct instant *now,
                           enum source source, struct setpoint *setpoint) {
     if (source == SOURCE_TRACKS) {
         from_tracks(device, now, setpoint);
-    } else if (source == SOURCE_RAMP) {
-        run_ramp(device, setpoint);
-    } else if (source == SOURCE_TASK) {
-        run_task(device, board, setpoint);
-    } else {
-        at(device, device->hold_pq, 0, device->hold_tq, setpoint);
-        if (source == SOURCE_OPEN) { // nothing of what the encoder says: no speed for the back-EMF
-            memset(&device->servo, 0, sizeof device->servo);
-            setpoint->feedback_limit_tq = 0;
-        }
+        if (device->settings.servo.acceleration_tq.mantissa != 0)
+            setpoint->torque_tq += accelerating(device, now);
+        return;
+    }
+    at(device, lead(device, board, source), setpoint);
+    if (source == SOURCE_TASK)
+        setpoint->feedback_limit_tq = device->settings.home.torque_tq;
+    if (source == SOURCE_OPEN) { // nothing of what the encoder says: no speed for the back-EMF
+        memset(&device->servo, 0, sizeof device->servo);
+        setpoint->feedback_limit_tq = 0;
     }
 }
 
@@ -205,11 +242,42 @@ static void note_torque(struct status *status, const struct servo *servo) {
         status->torque_clipped++;
 }
 
+// Of a stepper, at the end of the window that begins with the next servo period.
+static int32_t find_target(struct device *device, struct board *board, enum source source) {
+    uint32_t end_us = device->next_servo_us + device->settings.servo_period_us;
+    struct instant end = instant_at(clock_at(&device->clock, end_us), device->settings.knot_shift);
+    return source == SOURCE_TRACKS ? track_value(&device->tracks[TRACK_POSITION], &end)
+                                   : lead(device, board, source).position_pq;
+}
+
+// A stepper's pulses are told a period ahead: the board gives those of a window by itself, however
+// late the servo is. Apart, and called: a servo's tick is not to make way for it.
+static __attribute__((noinline)) void step(struct device *device, struct board *board,
+                                           enum source source) {
+    const struct device_settings *settings = &device->settings;
+    struct stepper *stepper = &device->stepper;
+    board_set_duty(board, 0);
+    if (!device->power || source == SOURCE_NONE || source == SOURCE_OPEN)
+        return;
+    int32_t target_pq = find_target(device, board, source);
+    struct pulses pulses =
+        stepper_step(stepper, settings->step_least_q16, target_pq, settings->servo_period_us);
+    if (pulses.steps != 0)
+        board_step(board, device->next_servo_us, pulses.steps, pulses.first_q16,
+                   pulses.spacing_q16);
+    device->setpoint.position_pq = stepper->now_pq;
+    device->setpoint.velocity_pq =
+        fixed_scale(fixed_difference(stepper->target_pq, stepper->now_pq), settings->knot_periods);
+    device->servo.error_pq = fixed_difference(stepper->now_pq, device->position_pq);
+}
+
 void drive(struct device *device, struct board *board, const struct instant *now,
            uint32_t count_us) {
     enum source source = source_of(device, count_us);
     set_brake(device, brake_wanted(device, source));
-    if (device->power && source != SOURCE_NONE) {
+    if (device->steps) {
+        step(device, board, source);
+    } else if (device->power && source != SOURCE_NONE) {
         struct setpoint setpoint;
         const struct servo_settings *settings = &device->settings.servo;
         struct servo *servo = &device->servo;

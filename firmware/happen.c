@@ -34,7 +34,7 @@ static int32_t pull(const struct device *device, enum device_state from) {
 static void begin_ramp(struct device *device, enum device_state from) {
     device->hold_tq = fixed_clamp(last_torque(device) + pull(device, from),
                                   device->settings.servo.torque_limit_tq);
-    device->hold_pq = device->position_pq;
+    device->hold_pq = device->steps ? device->stepper.target_pq : device->position_pq;
     device->ramp.begun = device->ramp.resting = false;
     device->servo.primed = false; // the error jumps: no kick by its difference
 }
@@ -58,6 +58,7 @@ static void take_hold(struct device *device) {
     memset(&device->servo, 0, sizeof device->servo);
     device->hold_pq = device->position_pq;
     device->setpoint.torque_tq = device->hold_tq;
+    stepper_begin(&device->stepper, device->hold_pq);
     device->power = true;
 }
 

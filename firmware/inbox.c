@@ -15,7 +15,8 @@ static bool starts_here(const struct device *device) {
             return false;
     }
     int32_t distance_pq = fixed_difference(plan->points[TRACK_POSITION][0], device->position_pq);
-    return distance_pq <= DEVICE_START_PQ && distance_pq >= -DEVICE_START_PQ;
+    int32_t most_pq = device->steps ? DEVICE_START_STEPS_PQ : DEVICE_START_PQ;
+    return distance_pq <= most_pq && distance_pq >= -most_pq;
 }
 
 // A track that appears while others run would jump to its first point.

@@ -391,12 +391,14 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("ki_tq", &servo_settings::ki_tq)
         .def_rw("kd_tq", &servo_settings::kd_tq)
         .def_rw("velocity_tq", &servo_settings::velocity_tq)
+        .def_rw("acceleration_tq", &servo_settings::acceleration_tq)
         .def_rw("resistance_mV", &servo_settings::resistance_mV)
         .def_rw("emf_mV", &servo_settings::emf_mV)
         .def_rw("emf_tq", &servo_settings::emf_tq)
         .def_rw("supply_duty", &servo_settings::supply_duty)
         .def_rw("torque_limit_tq", &servo_settings::torque_limit_tq)
-        .def_rw("integrate_running", &servo_settings::integrate_running);
+        .def_rw("integrate_running", &servo_settings::integrate_running)
+        .def_rw("ahead_us", &servo_settings::ahead_us);
     nb::class_<monitor_settings>(m, "MonitorSettings")
         .def(nb::init<>())
         .def_rw("following_pq", &monitor_settings::following_pq)
@@ -464,6 +466,7 @@ static void bind_settings(nb::module_ &m) {
         .def_rw("torque_step_tq", &device_settings::torque_step_tq)
         .def_rw("knot_periods", &device_settings::knot_periods)
         .def_rw("offset_count", &device_settings::offset_count)
+        .def_rw("step_least_q16", &device_settings::step_least_q16)
         .def_rw("carries_gravity", &device_settings::carries_gravity)
         .def_rw("monitor", &device_settings::monitor)
         .def_rw("home", &device_settings::home)
@@ -774,6 +777,27 @@ static void bind_stops(nb::module_ &m) {
                 return nb::make_tuple((int)b.reason, b.value, b.limit);
             },
             "settings"_a, "seen"_a);
+    nb::class_<stepper>(m, "Stepper")
+        .def(
+            "__init__",
+            [](stepper *s, int32_t position_pq) {
+                new (s) stepper{};
+                stepper_begin(s, position_pq);
+            },
+            "position_pq"_a)
+        .def(
+            "step",
+            [](stepper &s, uint32_t least_q16, int32_t target_pq, uint32_t window_us) {
+                if (least_q16 == 0 || window_us == 0 || window_us >= 1 << 15)
+                    throw std::invalid_argument("a stepper has a rate, and a window of its own");
+                pulses p = stepper_step(&s, least_q16, target_pq, window_us);
+                return std::make_tuple(p.steps, p.first_q16, p.spacing_q16);
+            },
+            "least_q16"_a, "target_pq"_a, "window_us"_a)
+        .def("shift", [](stepper &s, int32_t by_count) { stepper_shift(&s, by_count); })
+        .def_ro("count", &stepper::count)
+        .def_ro("target_pq", &stepper::target_pq)
+        .def_ro("now_pq", &stepper::now_pq);
     nb::class_<ramp>(m, "Ramp")
         .def(
             "__init__",

@@ -17,16 +17,18 @@
 #define SERVO_FEEDBACK_FREE (1 << 30) // a feedback limit that never acts
 
 struct servo_settings {
-    struct scale kp_tq;         // torque per following error [tq/pq]
-    struct scale ki_tq;         // torque / 2^6 per error and servo period [tq/pq]
-    struct scale kd_tq;         // torque per error difference over one servo period [tq/pq]
-    struct scale velocity_tq;   // torque per speed of the track [tq knot/pq]
-    struct scale resistance_mV; // voltage per torque: R / (Kt gear) [mV/tq]
-    struct scale emf_mV;        // voltage per speed of the track: Ke gear [mV knot/pq]
-    struct scale emf_tq;        // torque that the back-EMF adds per error difference [tq/pq]
-    struct scale supply_duty;   // duty per voltage: 1 / supply [1/mV]
-    int32_t torque_limit_tq;    // output ceiling, <= SERVO_TORQUE_MAX
-    bool integrate_running;     // else the integral rests while a plan runs
+    struct scale kp_tq;           // torque per following error [tq/pq]
+    struct scale ki_tq;           // torque / 2^6 per error and servo period [tq/pq]
+    struct scale kd_tq;           // torque per error difference over one servo period [tq/pq]
+    struct scale velocity_tq;     // torque per speed of the track [tq knot/pq]
+    struct scale resistance_mV;   // voltage per torque: R / (Kt gear) [mV/tq]
+    struct scale emf_mV;          // voltage per speed of the track: Ke gear [mV knot/pq]
+    struct scale emf_tq;          // torque that the back-EMF adds per error difference [tq/pq]
+    struct scale supply_duty;     // duty per voltage: 1 / supply [1/mV]
+    int32_t torque_limit_tq;      // output ceiling, <= SERVO_TORQUE_MAX
+    bool integrate_running;       // else the integral rests while a plan runs
+    struct scale acceleration_tq; // torque per acceleration of the track [tq knot^2/pq]
+    uint16_t ahead_us;            // so far ahead along the tracks feed-forward is taken
 };
 
 struct servo {

@@ -6,10 +6,10 @@ static bool scale_valid(struct scale scale) { return scale.shift < 32; }
 
 static bool servo_valid(const struct servo_settings *servo) {
     return scale_valid(servo->kp_tq) && scale_valid(servo->ki_tq) && scale_valid(servo->kd_tq) &&
-           scale_valid(servo->velocity_tq) && scale_valid(servo->resistance_mV) &&
-           scale_valid(servo->emf_mV) && scale_valid(servo->emf_tq) &&
-           scale_valid(servo->supply_duty) && servo->torque_limit_tq > 0 &&
-           servo->torque_limit_tq <= SERVO_TORQUE_MAX;
+           scale_valid(servo->velocity_tq) && scale_valid(servo->acceleration_tq) &&
+           scale_valid(servo->resistance_mV) && scale_valid(servo->emf_mV) &&
+           scale_valid(servo->emf_tq) && scale_valid(servo->supply_duty) &&
+           servo->torque_limit_tq > 0 && servo->torque_limit_tq <= SERVO_TORQUE_MAX;
 }
 
 static bool monitor_valid(const struct monitor_settings *monitor) {
@@ -43,6 +43,25 @@ static bool neighbours_valid(const struct device_settings *settings) {
            (settings->neighbours == 0 || settings->ask_us >= 1000);
 }
 
+// What may be asked of a stepper, by a plan or by a search, is within its rate; the setpoint of the
+// window after next has been settled; and a curve leaves the straight line through a window by a T^2 / 8,
+// a quarter of a step.
+static bool stepper_valid(const struct device_settings *settings) {
+    uint32_t least_q16 = settings->step_least_q16, period_us = settings->servo_period_us;
+    const struct gate_limits *limits = &settings->limits[TRACK_POSITION];
+    uint64_t quarters = 2ULL << SERVO_COUNT_BITS;        // 8 times one
+    uint64_t step_q26 = 1ULL << (16 + SERVO_COUNT_BITS); // pq in a step, us in 1/65536
+    if (least_q16 == 0)
+        return true;
+    return (settings->home.method == HOME_INDEX || settings->home.method == HOME_SWITCH) &&
+           2 * period_us <= 1u << settings->knot_shift &&
+           (uint64_t)(uint32_t)limits->difference_max * least_q16 <=
+               step_q26 / 1024 * 1023 << settings->knot_shift && // a slewed clock runs faster
+           (uint64_t)(uint32_t)limits->second_difference_max * period_us * period_us <=
+               quarters << (2 * settings->knot_shift) &&
+           (uint64_t)(uint32_t)settings->home.speed_q16 * least_q16 <= (step_q26 << 16) * period_us;
+}
+
 bool settings_valid(const struct device_settings *settings) {
     for (int32_t sink = 0; sink < TRACK_COUNT; sink++) {
         const struct gate_limits *limits = &settings->limits[sink];
@@ -57,10 +76,11 @@ bool settings_valid(const struct device_settings *settings) {
         return false;
     return settings->knot_shift >= 9 && settings->knot_shift <= 15 &&
            settings->servo_period_us > 0 && settings->sample_every > 0 &&
+           settings->servo.ahead_us <= 1 << settings->knot_shift && // what lies beyond may change
            settings->torque_step_tq > 0 && scale_valid(settings->knot_periods) &&
            settings->name[SETTINGS_NAME_MAX] == 0 && servo_valid(&settings->servo) &&
            monitor_valid(&settings->monitor) && home_valid(&settings->home) &&
-           sync_valid(&settings->sync) && neighbours_valid(settings);
+           sync_valid(&settings->sync) && neighbours_valid(settings) && stepper_valid(settings);
 }
 
 static void visit_limits(struct fields *f, struct gate_limits *limits) {
@@ -77,12 +97,14 @@ static void visit_servo(struct fields *f, struct servo_settings *servo) {
     field_scale(f, &servo->ki_tq);
     field_scale(f, &servo->kd_tq);
     field_scale(f, &servo->velocity_tq);
+    field_scale(f, &servo->acceleration_tq);
     field_scale(f, &servo->resistance_mV);
     field_scale(f, &servo->emf_mV);
     field_scale(f, &servo->emf_tq);
     field_scale(f, &servo->supply_duty);
     field_i32(f, &servo->torque_limit_tq);
     field_bool(f, &servo->integrate_running);
+    field_u16(f, &servo->ahead_us);
 }
 
 static void visit_monitor(struct fields *f, struct monitor_settings *monitor) {
@@ -164,6 +186,7 @@ static void visit(struct fields *f, struct device_settings *settings, bool with_
     field_u8(f, &settings->neighbours);
     field_u32(f, &settings->ask_us);
     field_u32(f, &settings->peer_least_us);
+    field_u32(f, &settings->step_least_q16);
 }
 
 int32_t settings_encode(const struct device_settings *settings, bool with_key, uint8_t *bytes,

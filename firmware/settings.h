@@ -11,7 +11,7 @@
 #include "sync.h"
 
 #define SETTINGS_NAME_MAX 25   // bytes of UTF-8
-#define SETTINGS_FORMAT 2      // of their bytes; another one is not read
+#define SETTINGS_FORMAT 4      // of their bytes; another one is not read
 #define SETTINGS_BYTES_MAX 480 // of their bytes, at most
 
 struct device_settings {
@@ -38,6 +38,7 @@ struct device_settings {
     uint8_t neighbours;                  // bit p: another board is at port p
     uint32_t ask_us;                     // how often they are asked for their time
     uint32_t peer_least_us;              // no frame takes less time between them
+    uint32_t step_least_q16; // from a step to the next [1/65536 us]; 0: no stepper but a servo
 };
 
 // Whether every number is within what the arithmetic and the promises rely on.

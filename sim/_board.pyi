@@ -141,6 +141,15 @@ class Node:
     def true_us(self) -> int: ...
     @property
     def duty_q15(self) -> int: ...
+    def steps(self, true_us: int) -> int:
+        """Steps that the board has given by a true time, modulo 2^32; not before those of the last
+        few servo periods."""
+
+    @property
+    def trains(self) -> list[tuple[int, int, int, int]]:
+        """The last that it was told to give: the count at which a window begins, how many, when
+        the first comes and then each [1/65536 us]."""
+
     @property
     def brake(self) -> bool: ...
     @property

@@ -45,11 +45,50 @@ void node_run(struct node *node) {
 
 uint32_t board_count_us(const struct board *board) { return board_count_at(board, board->true_us); }
 
-int32_t board_encoder_count(const struct board *board) { return board->encoder_count; }
+int32_t board_encoder_count(const struct board *board) {
+    return board->stepping.used ? board_steps(board, board_count_us(board)) : board->encoder_count;
+}
 
 void board_set_duty(struct board *board, int32_t duty_q15) { board->duty_q15 = duty_q15; }
 
-void board_set_power(struct board *board, bool on) { board->power = on; }
+// As the current comes on the driver takes the phase at which the rotor is; steps count from there.
+void board_set_power(struct board *board, bool on) {
+    if (on && !board->power && board->stepping.used) {
+        int32_t steps = board_steps(board, board_count_us(board));
+        board->encoder_offset = fixed_difference(board->true_count, steps);
+    }
+    board->power = on;
+}
+
+static uint64_t passed(const struct pulse_train *train, uint32_t count_us) {
+    int32_t since_us = (int32_t)(count_us - train->count_us);
+    int64_t since_q16 = (int64_t)since_us * 65536 - train->first_q16;
+    return since_us < 0 || since_q16 < 0 ? 0 : (uint64_t)since_q16 / train->spacing_q16 + 1;
+}
+
+static int32_t steps_of(const struct pulse_train *train, uint32_t count_us) {
+    if (train->steps == 0)
+        return 0;
+    int32_t all = train->steps < 0 ? -train->steps : train->steps;
+    uint64_t given = passed(train, count_us);
+    int32_t steps = given < (uint64_t)all ? (int32_t)given : all;
+    return train->steps < 0 ? -steps : steps;
+}
+
+int32_t board_steps(const struct board *board, uint32_t count_us) {
+    int32_t steps = board->stepping.over;
+    for (int32_t i = 0; i < BOARD_TRAINS; i++)
+        steps = fixed_sum(steps, steps_of(&board->stepping.ring[i], count_us));
+    return steps;
+}
+
+void board_step(struct board *board, uint32_t count_us, int32_t steps, uint32_t first_q16,
+                uint32_t spacing_q16) {
+    struct stepping *stepping = &board->stepping;
+    struct pulse_train *train = &stepping->ring[stepping->trains++ % BOARD_TRAINS];
+    stepping->over = fixed_sum(stepping->over, train->steps);
+    *train = (struct pulse_train){count_us, steps, first_q16, spacing_q16};
+}
 
 void board_set_brake(struct board *board, bool engaged) {
     if (board->brake != engaged)

@@ -34,6 +34,22 @@ struct encoder_fault {
     int32_t begun;
 };
 
+// Pulses of a window, as the board was told.
+struct pulse_train {
+    uint32_t count_us;
+    int32_t steps;
+    uint32_t first_q16, spacing_q16;
+};
+
+// Of a stepper's board. The ring is longer than the trains that are not over can be.
+#define BOARD_TRAINS 4
+struct stepping {
+    int32_t used;    // there is a stepper
+    int32_t over;    // steps of trains that are no longer in the ring
+    uint32_t trains; // ever
+    struct pulse_train ring[BOARD_TRAINS];
+};
+
 // A change of a digital output.
 struct flip {
     int64_t time_us; // true time
@@ -79,6 +95,7 @@ struct board {
     int32_t indexed;     // an index pulse waits to be read
     int32_t index_count;
     struct encoder_fault encoder_fault;
+    struct stepping stepping;
     int32_t hung;       // the main loop: only interrupts run
     uint8_t digital_in; // bit i: input i is on
     int32_t pwm_q15[BOARD_PWM];
@@ -105,6 +122,9 @@ void board_advance(struct board *board, int64_t true_us);
 
 // What a board runs by itself at one instant: the guard's timer and, unless it hangs, the main loop.
 void node_run(struct node *node);
+
+// Steps that have been given at a count, modulo 2^32; at one that is not too long past.
+int32_t board_steps(const struct board *board, uint32_t count_us);
 
 // Count of the local oscillator at a true time.
 uint32_t board_count_at(const struct board *board, int64_t true_us);

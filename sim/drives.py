@@ -16,7 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from headway.configs.axis import Axis
+from headway.configs.axis import Axis, StepperAxis
 from headway.configs.schema import Machine
 from headway.models.coupling import Coupling
 from headway.models.source import read_spec
@@ -58,13 +58,19 @@ def driven_model(
             spec.delete(actuator)
         on_board = {a.target for a in spec.actuators if a.plugin.plugin_name == PLUGIN}
         missing = [axis for axis in machine.boards if axis.joint not in on_board]
+        for axis in machine.driven.values():
+            if axis.steps and axis not in missing:
+                raise ValueError(
+                    f"joint {axis.joint} has an actuator with a brushed motor: take it out of the "
+                    "model, and the axis' stepper takes its place"
+                )
         if not missing:
             return spec.compile() if needless else bare
         _strip(spec)
         spec.option.timestep = _step_us(servo_period_us) * 1e-6
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0 errs with a sparse one
-        spec.nuser_actuator = 6
+        spec.nuser_actuator = 8 if any(axis.steps for axis in machine.driven.values()) else 6
         spec.activate_plugin(PLUGIN)
         coupling = Coupling.of(machine.coupling, len(machine.axes))
         for axis, row in zip(machine.axes, coupling.axes_by_joints, strict=True):
@@ -127,19 +133,21 @@ def _add_board(spec: mujoco.MjSpec, axis: Axis, pulls: dict[str, float], mobilit
 
 
 def _motor(axis: Axis, step_mobility: float) -> list[float]:
-    """Gear, torque constant, resistance, supply and brake. A board without a motor has none that
+    """Gear, torque constant, resistance, supply and brake; of a stepper what it holds and its cycle
+    as well. A board without a motor has none that
     gives or takes anything."""
     if axis.passive:
         return [1.0, 0.0, 1.0, 1.0, 0.0]
     stable = BRAKE_STABLE / (BRAKE_DAMPING * step_mobility)
     motor = axis.motor
-    return [
+    numbers = [
         motor.gear,
         motor.torque_constant_Nm_per_A,
         motor.resistance_ohm,
         motor.supply_V,
         min(BRAKE_SHARE * axis.effort_limit, stable),
     ]
+    return [*numbers, axis.effort_limit, axis.cycle] if isinstance(axis, StepperAxis) else numbers
 
 
 def _touching(

@@ -65,7 +65,9 @@ static void restart(Node &n) {
     board_set_brake(&n->board, true);
     board_set_duty(&n->board, 0);
     board_set_chopper(&n->board, false);
+    n->board.stepping = stepping{};
     device_boot(&n->device, &n->board, board_count_us(&n->board));
+    n->board.stepping.used = n->device.steps;
 }
 
 // As a programmer does: settings into the memory, beside what is there, and a power cycle.
@@ -281,6 +283,23 @@ NB_MODULE(_board, m) {
                      })
         .def_prop_ro("true_us", [](Node &n) { return n->board.true_us; })
         .def_prop_ro("duty_q15", [](Node &n) { return n->board.duty_q15; })
+        .def(
+            "steps",
+            [](Node &n, int64_t true_us) {
+                return board_steps(&n->board, board_count_at(&n->board, true_us));
+            },
+            "true_us"_a)
+        .def_prop_ro("trains",
+                     [](Node &n) {
+                         const struct stepping &s = n->board.stepping;
+                         std::vector<std::tuple<uint32_t, int32_t, uint32_t, uint32_t>> found;
+                         for (uint32_t i = s.trains > BOARD_TRAINS ? s.trains - BOARD_TRAINS : 0;
+                              i < s.trains; i++) {
+                             const pulse_train &t = s.ring[i % BOARD_TRAINS];
+                             found.emplace_back(t.count_us, t.steps, t.first_q16, t.spacing_q16);
+                         }
+                         return found;
+                     })
         .def_prop_ro("brake", [](Node &n) { return n->board.brake != 0; })
         .def_prop_ro("power", [](Node &n) { return n->board.power != 0; })
         .def_prop_ro("tripped", [](Node &n) { return n->device.guard.verdict != GUARD_LETS; })

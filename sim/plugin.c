@@ -17,7 +17,10 @@ enum motor {
     RESISTANCE,      // ohm
     SUPPLY,          // V
     BRAKE,           // Nm at the joint
-    MOTOR_COUNT
+    MOTOR_COUNT,
+    HOLDING = MOTOR_COUNT, // of a stepper: Nm; 0 or missing: a brushed motor
+    CYCLE,                 // encoder counts (steps) in a cycle of its currents
+    STEPPER_COUNT
 };
 
 #define BRAKE_STIFFNESS 400.0 // times the brake's torque, per radian: it holds within 2.5 mrad
@@ -103,6 +106,21 @@ static mjtNum brake_force(struct board *board, mjtNum strength, mjtNum position,
     return mju_clip(force, -strength, strength);
 }
 
+static bool is_stepper(const mjModel *m, const mjtNum *motor) {
+    return m->nuser_actuator >= STEPPER_COUNT && motor[HOLDING] > 0;
+}
+
+// A sine of how far the rotor is from where its currents point (P. Acarnley, Stepping Motors, 4th edition,
+// 2002, section 2.2): beyond half a cycle it is drawn to another tooth, and steps are lost.
+static mjtNum stepper_force(const struct board *board, const mjtNum *motor, mjtNum position) {
+    int32_t steps = board_steps(board, board_count_us(board));
+    mjtNum count = position * motor[COUNTS_PER_UNIT], whole = floor(count);
+    int32_t rotor = (int32_t)(uint32_t)(uint64_t)(int64_t)mju_clip(whole, -9e15, 9e15);
+    uint32_t currents = (uint32_t)steps + (uint32_t)board->encoder_offset;
+    mjtNum ahead = (int32_t)(currents - (uint32_t)rotor) - (count - whole);
+    return motor[HOLDING] * sin(2 * mjPI * ahead / motor[CYCLE]);
+}
+
 static void compute(const mjModel *m, mjData *d, int instance, int capability) {
     (void)capability;
     int id = actuator_of(m, instance);
@@ -112,7 +130,11 @@ static void compute(const mjModel *m, mjData *d, int instance, int capability) {
     mjtNum velocity = along(m, id, d->qvel, m->jnt_dofadr);
     mjtNum force = brake_force(board, motor[BRAKE], position, velocity);
     board->current_A = 0;
-    if (board->power) {
+    if (board->power && is_stepper(m, motor)) {
+        mjtNum constant = motor[GEAR] * motor[TORQUE_CONSTANT]; // its windings damp
+        force += stepper_force(board, motor, position) -
+                 constant * constant / motor[RESISTANCE] * velocity;
+    } else if (board->power) {
         mjtNum constant = motor[GEAR] * motor[TORQUE_CONSTANT];
         mjtNum voltage = board->duty_q15 / 32768.0 * board->supply_V;
         board->current_A = (voltage - constant * velocity) / motor[RESISTANCE];

@@ -112,6 +112,7 @@ def device_settings(sample_every: int = 1) -> _core.DeviceSettings:
     servo.resistance_mV = _core.Scale(1, 10)
     servo.supply_duty = _core.Scale(1, 0)
     servo.torque_limit_tq = 1 << 24
+    servo.ahead_us = PERIOD_US // 2
     settings = _core.DeviceSettings()
     settings.key, settings.servo = KEY, servo
     settings.knot_shift, settings.servo_period_us = SHIFT, PERIOD_US

@@ -83,12 +83,14 @@ static struct servo_settings random_servo(void) {
         .ki_tq = random_scale(),
         .kd_tq = random_scale(),
         .velocity_tq = random_scale(),
+        .acceleration_tq = random_scale(),
         .resistance_mV = random_scale(),
         .emf_mV = random_scale(),
         .emf_tq = random_scale(),
         .supply_duty = random_scale(),
         .torque_limit_tq = below(2) ? SERVO_TORQUE_MAX : 1 + (int32_t)below(SERVO_TORQUE_MAX),
         .integrate_running = below(2),
+        .ahead_us = (uint16_t)below(513), // of a knot of 512 us at least
     };
 }
 

@@ -42,6 +42,7 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "neighbours": unsigned[8],
         "ask_us": unsigned[32],
         "peer_least_us": unsigned[32],
+        "step_least_q16": unsigned[32],
         "torque_step_tq": i32,
         "knot_periods": scales,
         "offset_count": i32,
@@ -55,6 +56,8 @@ FIELDS: dict[str, dict[str, st.SearchStrategy[object]]] = {
         "ki_tq": scales,
         "kd_tq": scales,
         "velocity_tq": scales,
+        "acceleration_tq": scales,
+        "ahead_us": unsigned[16],
         "resistance_mV": scales,
         "emf_mV": scales,
         "emf_tq": scales,
@@ -262,7 +265,7 @@ def test_other_sizes_and_formats_are_no_settings() -> None:
     assert _core.DeviceSettings.decode(good + b"\0") is None
     for version in range(256):
         back = _core.DeviceSettings.decode(bytes([version]) + good[1:])
-        assert (back is not None) == (version == good[0] == 2)
+        assert (back is not None) == (version == good[0] == 4)
 
 
 def test_a_flag_is_zero_or_one() -> None:
@@ -388,7 +391,7 @@ def test_damage_to_both_places_is_a_fault() -> None:
 def test_another_format_is_a_fault() -> None:
     node = node_with(sound_settings())
     payload = sound_settings().encode(with_key=True)
-    for version, state in ((2, "BOOT"), (0, "FAULT"), (1, "FAULT"), (3, "FAULT"), (255, "FAULT")):
+    for version, state in ((4, "BOOT"), (0, "FAULT"), (3, "FAULT"), (5, "FAULT"), (255, "FAULT")):
         node.set_memory(SETTINGS, record(5, bytes([version]) + payload[1:]))
         node.restart()
         assert _core.STATES[node.state] == state

@@ -4,6 +4,7 @@ Nothing here calls the firmware but through the judge. The oracles are pure Pyth
 codecs byte by byte, splines by de Boor's algorithm in fractions, the gate from its definition.
 """
 
+import math
 import subprocess
 import zlib
 from collections import Counter
@@ -91,7 +92,7 @@ def test_the_files_are_what_the_generator_writes(judge: Path) -> None:
 
 
 def test_they_stay_small() -> None:
-    assert sum(path.stat().st_size for path in FILES) < 5_900_000
+    assert sum(path.stat().st_size for path in FILES) < 6_100_000
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -1672,6 +1673,76 @@ def test_the_servo_is_its_law_in_exact_integers() -> None:
     assert saturated > 100
 
 
+# ---- the stepper
+
+
+def stepped(v: Vector) -> tuple[dict[str, int], dict[str, int]]:
+    """What a line gives, and what it answers."""
+    answer = dict(part.split("=") for part in v.answer.split())
+    return {k: int(x) for k, x in v.given.items()}, {k: int(x) for k, x in answer.items()}
+
+
+def window(before: dict[str, int], given: dict[str, int], after: dict[str, int]) -> str:
+    """Holds a window's pulses against the straight line that they follow; says what bound them."""
+    least, length = given["least_q16"], given["window_us"] << 16
+    steps, first, spacing = (after[name] for name in ("steps", "first_q16", "spacing_q16"))
+    sign = -1 if steps < 0 else 1
+    assert after["now_pq"] == before["target_pq"] and after["target_pq"] == given["target_pq"]
+    assert after["count"] == wrapped(before["count"] + steps, 32)
+    times = [first + i * spacing for i in range(min(abs(steps), 3))]
+    times += [first + (abs(steps) - 1) * spacing] if steps else []
+    assert all(0 <= t < length for t in times)
+    if steps:  # the rate, within the window and from the last one
+        assert first >= least - before["since_q16"]
+        assert spacing >= least or abs(steps) == 1
+        assert after["since_q16"] == length - times[-1]
+    else:
+        assert after["since_q16"] in (before["since_q16"] + length, (1 << 32) - 1)
+    left = wrapped(given["target_pq"] - 1024 * after["count"], 32)
+    done = -512 <= left < 512
+    if not done:  # nothing else would have fitted
+        # The next one is beyond the window, as the rate has it; or too far away to matter.
+        toward = 1 if left > 0 else -1
+        following = max(spacing, least) if steps and sign == toward else least
+        at = times[-1] + following if times else max(first, least - before["since_q16"])
+        assert at >= length or abs(left) >= 1 << 28
+    begun = wrapped(before["target_pq"] - 1024 * before["count"], 32)
+    way = wrapped(given["target_pq"] - before["target_pq"], 32)
+    if done and steps and abs(begun) <= 512 and abs(way) < 1 << 29 and way * sign > 0:
+        late = False
+        for t in times:  # half-way between two steps, rounded down; or later, by the rate
+            number = (t - first) // spacing if spacing else 0
+            crossing = Fraction(length * (512 + 1024 * number - sign * begun), sign * way)
+            late = late or t > crossing
+            assert t >= math.floor(crossing) - number - 1 or crossing < 0
+        if not late:
+            return "on the line"
+    return "by the rate" if steps else "none"
+
+
+def test_pulses_are_where_the_line_is_half_way_between_steps() -> None:
+    before: dict[str, int] = {}
+    kinds = Counter[str]()
+    for v in read(VECTORS / "steppers.txt"):
+        given_now, after = stepped(v)
+        if v.word == "stepper":
+            at = given_now["position_pq"]
+            assert -512 <= wrapped(at - 1024 * after["count"], 32) < 512, v
+            assert (
+                after["target_pq"] == after["now_pq"] == at and after["since_q16"] == (1 << 32) - 1
+            )
+        elif v.word == "stepper-shift":
+            by = given_now["by_count"]
+            assert after["since_q16"] == before["since_q16"]
+            assert after["count"] == wrapped(before["count"] + by, 32), v
+            for name in ("target_pq", "now_pq"):
+                assert after[name] == wrapped(before[name] + 1024 * by, 32), v
+        else:
+            kinds[window(before, given_now, after)] += 1
+        before = after
+    assert min(kinds[k] for k in ("on the line", "by the rate", "none")) > 50
+
+
 # ---- settings, and what is kept of them
 
 
@@ -1686,8 +1757,8 @@ HEAD = fields(
     "dither_us 2, torque_step_tq -4, knot_periods 0, offset_count -4, carries_gravity 1"
 )
 SERVO = fields(
-    "kp_tq 0, ki_tq 0, kd_tq 0, velocity_tq 0, resistance_mV 0, emf_mV 0, emf_tq 0,"
-    "supply_duty 0, torque_limit_tq -4, integrate_running 1"
+    "kp_tq 0, ki_tq 0, kd_tq 0, velocity_tq 0, acceleration_tq 0, resistance_mV 0, emf_mV 0,"
+    "emf_tq 0, supply_duty 0, torque_limit_tq -4, integrate_running 1, ahead_us 2"
 )
 MONITOR = fields(
     "following_pq -4, following_periods 2, speed_pq -4, bounded 1, low_pq -4, high_pq -4,"
@@ -1703,7 +1774,7 @@ SYNC = fields(
     "sync_method 1, among_boards 1, drift_ppm 2, wander_ppb_s 2, to_device_least_us 4,"
     "to_host_least_us 4, limit_us 4, interval_us 4, phase_gain 2, skew_gain_q8 2"
 )
-AMONG = fields("neighbours 1, ask_us 4, peer_least_us 4")
+AMONG = fields("neighbours 1, ask_us 4, peer_least_us 4, step_least_q16 4")
 BOOLEANS = {"carries_gravity", "integrate_running", "bounded", "home_backwards", "among_boards"}
 PORTS = {0, 1, 2, 3, 4}  # of a board; at the first one is the host
 
@@ -1735,7 +1806,7 @@ class Settings:
 
     def encoded(self, with_key: bool) -> bytes:
         keys = bytes.fromhex(self.given["key"] + self.given["peer_key"]) if with_key else b""
-        out = b"\2" + keys + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
+        out = b"\4" + keys + bytes.fromhex(self.given["name"]).ljust(26, b"\0") + self.packed(HEAD)
         out += bytes(self.numbers("gap_policy", 5))
         for sink in SINKS:
             continuous, *limits = self.numbers(sink, 6)
@@ -1771,6 +1842,20 @@ class Settings:
         most |= {"sync_method": 1, "drift_ppm": 300, "wander_ppb_s": 60_000}
         most |= dict.fromkeys(["to_device_least_us", "to_host_least_us", "limit_us"], 10**6)
         most |= {"peer_least_us": 10**6, "ask_us": 10**7}
+        most |= {"ahead_us": 2 ** self.number("knot_shift")}
+        if least_q16 := self.number("step_least_q16"):
+            knot_us, period_us = 2 ** self.number("knot_shift"), self.number("servo_period_us")
+            least_us = Fraction(least_q16, 65536)
+            _, _, _, first, second, _ = limits["position"]
+            search = Fraction(self.number("home_speed_q16"), 65536 * 1024) / period_us
+            if (
+                self.number("home_method") not in (1, 2)
+                or 2 * period_us > knot_us
+                or Fraction(first, 1024 * knot_us) * least_us > Fraction(1023, 1024)
+                or Fraction(second, 1024 * knot_us**2) * period_us**2 / 8 > Fraction(1, 4)
+                or search * least_us > 1
+            ):
+                return False
         beside = {port for port in range(8) if self.number("neighbours") >> port & 1}
         if not beside <= PORTS - {0} or (beside and self.number("ask_us") < 1000):
             return False
@@ -1785,7 +1870,7 @@ class Settings:
 def decoded(data: bytes, with_key: bool, keys: dict[str, str]) -> str:
     """As the judge says settings; `keys` are those that were there."""
     reader = Reader(data)
-    if reader.take(1) != 2:
+    if reader.take(1) != 4:
         raise MalformedError
     values = dict(keys)
 

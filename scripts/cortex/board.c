@@ -45,6 +45,11 @@ void board_set_chopper(struct board *board, bool on) { set(board, 4, on); }
 
 void board_set_duty(struct board *board, int32_t duty_q15) { board->duty_q15 = duty_q15; }
 
+void board_step(struct board *board, uint32_t count_us, int32_t steps, uint32_t first_q16,
+                uint32_t spacing_q16) {
+    (void)board, (void)count_us, (void)steps, (void)first_q16, (void)spacing_q16;
+}
+
 bool board_stop_line(const struct board *board) { return (void)board, false; }
 
 bool board_home_switch(const struct board *board) { return (void)board, false; }

@@ -27,6 +27,7 @@ import peer
 import servo
 import settings
 import signals
+import stepper
 import stop
 import track
 import watch
@@ -56,6 +57,7 @@ KINDS: dict[str, Callable[[Random], Iterator[str]]] = {
     "groups": group.groups,
     "histories": history.histories,
     "servos": servo.servos,
+    "steppers": stepper.steppers,
     "settings": settings.settings,
     "stores": settings.stores,
     "clocks": clock.clocks,

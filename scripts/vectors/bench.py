@@ -44,6 +44,7 @@ def settings() -> _core.DeviceSettings:
     servo.emf_tq = _core.Scale(0, 0)
     servo.supply_duty = _core.Scale(16, 0)
     servo.torque_limit_tq = TORQUE_MAX
+    servo.ahead_us = PERIOD_US // 2
     monitor = _core.MonitorSettings()
     monitor.following_pq, monitor.following_periods = 200 * COUNT_PQ, 5
     monitor.speed_pq = 150 * COUNT_PQ

@@ -11,6 +11,7 @@ from bench import (
     INTERPOLATE,
     KD,
     KI,
+    KNOT_US,
     KP,
     PERIOD_US,
     POSITION,
@@ -362,6 +363,94 @@ def gains(b: Bench) -> None:
         b.until("HOLD", 300)
 
 
+def looking_ahead(b: Bench) -> None:
+    for ahead_us in (700, KNOT_US):
+        b.scene(f"feed-forward by speed and acceleration, {ahead_us} us ahead", IDLE)
+        made = settings()
+        made.servo.velocity_tq, made.servo.acceleration_tq = _core.Scale(3, 4), _core.Scale(5, 3)
+        made.servo.ahead_us = ahead_us
+        b.adjust(made)
+        b.orders("ARM", "DONE", "ARMED")
+        b.go(4)
+        points = way(8, 6)
+        torque = [(i * 977) % 5000 for i in range(len(points) - 3)] + [700] * 3
+        torque[:3] = [0, 0, 0]
+        b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: torque})
+        b.go(60)
+        b.orders("STOP", "DONE", "TAIL")  # the ramp's acceleration is nobody's
+        b.until("HOLD", 300)
+
+
+def steps(b: Bench) -> None:
+    """Of a stepper: 50 kHz, told where it is, then homed."""
+    made = settings()
+    made.step_least_q16 = 20 << 16
+    rate = COUNT_PQ * KNOT_US // 20 * 1023 // 1024
+    limits = made.limits(POSITION)
+    made.set_limits(
+        POSITION,
+        _core.GateLimits(limits.point_min, limits.point_max, rate, 1 << 15, limits.stop_difference),
+    )
+    made.home.method = INDEX
+    for ending in ("STOP", "line", "nothing", "torque"):
+        b.scene(f"steps: {ending}", IDLE)
+        b.adjust(made)
+        b.orders("ZERO", "DONE", "IDLE", 321)
+        b.orders("ARM", "DONE", "ARMED", LOAD_TQ)
+        b.go(4)
+        speeds = [*range(0, 17 << 15, 1 << 15)]
+        if ending == "torque":
+            speeds = [min(s, 1 << 17) for s in speeds]
+        points = [HERE] * 4
+        for speed in [*(min(s, rate) for s in speeds), *(min(s, rate) for s in speeds[::-1])]:
+            points.append(points[-1] - speed)
+        points += [points[-1]] * 3
+        for away in (COUNT_PQ * 2 + 1, -COUNT_PQ * 2 - 1):
+            b.plans("start", b.knot + AHEAD, at_rest(20, HERE + away))
+        b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: [0] * len(points)})
+        b.go(60)
+        if ending == "STOP":
+            b.orders("STOP", "DONE", "TAIL")
+        elif ending == "line":
+            b.set(line_open=1)
+            b.go(40)
+            assert not b.powered and b.braked
+            b.set(line_open=0)
+            b.go(60)
+            b.orders("CLEAR", "DONE", "UNSYNCED")
+            b.hear()
+            assert not b.status.homed
+            b.settle()
+            b.orders("ARM", "DONE", "ARMED")
+            b.plans("state", b.knot + AHEAD, at_rest(9))
+            b.orders("HOME", "DONE", "ARMED")
+            b.go(20)
+            b.set(index_count=-7)
+            b.go(40)
+            b.hear()
+            assert b.status.homed
+            b.orders("JOG", "DONE", "ARMED", 3 * COUNT_PQ << 16)
+            b.go(20)
+            b.orders("STOP", "DONE", "HOLD")  # in two periods
+        b.until("HOLD", 300)
+        b.go(5)
+        b.orders("DISARM", "DONE", "IDLE")
+        b.go(9)
+        b.hear()
+        assert not b.status.homed and not b.powered
+    b.scene("steps: a wire that jumps", IDLE)
+    b.adjust(made)
+    b.orders("ZERO", "DONE", "IDLE", 321)
+    b.orders("ARM", "DONE", "ARMED")
+    b.orders("JOG", "DONE", "ARMED", 2 * COUNT_PQ << 16)
+    b.go(9)
+    b.set(position=12_345)
+    b.go(9)
+    assert b.braked
+    b.hear()
+    assert b.reason == "SPIKE"
+
+
 GAPS = (  # policies of position and torque, missing knots, the gate's verdict, where it leads
     (INTERPOLATE, HOLD, 1, "accepted", "RUNNING"),
     (INTERPOLATE, HOLD, 4, "accepted", "RUNNING"),
@@ -629,6 +718,8 @@ SCENES = (
     started,
     moving,
     gains,
+    looking_ahead,
+    steps,
     gaps,
     homing,
     jogging,

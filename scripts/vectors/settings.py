@@ -28,15 +28,17 @@ USUAL: dict[str, Value] = {
     "wander_ppb_s": 1500,
     "to_device_least_us": 2000, "to_host_least_us": 1999, "limit_us": 70_000,
     "interval_us": 80_000, "phase_gain": 4295, "skew_gain_q8": 11_000,
-    "neighbours": 6, "ask_us": 20_000, "peer_least_us": 300,
+    "neighbours": 6, "ask_us": 20_000, "peer_least_us": 300, "step_least_q16": 0,
     "knot_periods": [16, 0], "kp_tq": [40_000, 9], "ki_tq": [1, 31],
-    "kd_tq": [2, 3], "velocity_tq": [4, 5], "resistance_mV": [6, 7], "emf_mV": [8, 9],
+    "kd_tq": [2, 3], "velocity_tq": [4, 5],
+    "acceleration_tq": [3, 6], "ahead_us": 403, "resistance_mV": [6, 7], "emf_mV": [8, 9],
     "emf_tq": [10, 11], "supply_duty": [12, 13], "load_q8": [14, 15],
     "gap_policy": [0, 2, 2, 2, 2], "position": [0, -900, 900, 500, 60, 50],
     "torque": [0, -100, 100, 40, 30, 0], "kp": [0, 0, 9, 9, 9, 0],
 }  # fmt: skip
 SCALES = (
-    *("knot_periods", "kp_tq", "ki_tq", "kd_tq", "velocity_tq", "resistance_mV", "emf_mV"),
+    *("knot_periods", "kp_tq", "ki_tq", "kd_tq", "velocity_tq"),
+    *("acceleration_tq", "resistance_mV", "emf_mV"),
     *("emf_tq", "supply_duty", "load_q8"),
 )
 # Bytes of each number on the wire, in their order; negative: signed.
@@ -46,8 +48,8 @@ HEAD = (
     *(("knot_periods", 0), ("offset_count", -4), ("carries_gravity", 1)),
 )
 SERVO = (
-    *((name, 0) for name in SCALES[1:9]),
-    *(("torque_limit_tq", -4), ("integrate_running", 1)),
+    *((name, 0) for name in SCALES[1:10]),
+    *(("torque_limit_tq", -4), ("integrate_running", 1), ("ahead_us", 2)),
 )
 MONITOR = (
     *(("following_pq", -4), ("following_periods", 2), ("speed_pq", -4), ("bounded", 1)),
@@ -66,7 +68,7 @@ SYNC = (
     *(("to_device_least_us", 4), ("to_host_least_us", 4), ("limit_us", 4), ("interval_us", 4)),
     *(("phase_gain", 2), ("skew_gain_q8", 2)),
 )
-AMONG = (("neighbours", 1), ("ask_us", 4), ("peer_least_us", 4))
+AMONG = (("neighbours", 1), ("ask_us", 4), ("peer_least_us", 4), ("step_least_q16", 4))
 FLAGS = ("carries_gravity", "integrate_running", "bounded", "home_backwards", "among_boards")
 
 
@@ -83,13 +85,13 @@ def _numbers(values: dict[str, Value], rows: tuple[tuple[str, int], ...]) -> byt
 
 
 def encoded(values: dict[str, Value], with_key: bool) -> bytes:
-    """The layout of format 2."""
+    """The layout of format 4."""
     name, key, peer_key = values["name"], values["key"], values["peer_key"]
     policies = values["gap_policy"]
     assert isinstance(name, bytes) and isinstance(key, bytes) and isinstance(peer_key, bytes)
     assert isinstance(policies, list)
     out = (
-        b"\2"
+        b"\4"
         + (key + peer_key if with_key else b"")
         + name.ljust(26, b"\0")
         + _numbers(values, HEAD)
@@ -118,7 +120,7 @@ def settings(rng: Random) -> Iterator[str]:
         for cut in (0, 1, 40, len(whole) - 1):
             yield line("settings-decode", with_key=with_key, bytes=whole[:cut])
         yield line("settings-decode", with_key=with_key, bytes=whole + b"\0")
-        for number in (0, 1, 3, 255):
+        for number in (0, 3, 5, 255):
             yield line("settings-decode", with_key=with_key, bytes=bytes([number]) + whole[1:])
     odd = dict(USUAL)
     odd |= {"name": bytes(range(65, 90)), "key": rng.randbytes(16), "gap_policy": [0, 255, 4, 1, 3]}
@@ -147,6 +149,39 @@ def settings(rng: Random) -> Iterator[str]:
             yield line("settings-decode", with_key=0, bytes=bytes(broken))
 
 
+def _steppers() -> Iterator[str]:
+    """What a stepper's rate, periods and search may be, to the last digit."""
+
+    def valid(**values: Value) -> str:
+        return line("settings-valid", **values)
+
+    us = 1 << 16
+    for method in range(4):
+        yield valid(home_method=method, step_least_q16=us)
+    yield valid(step_least_q16=(1 << 32) - 1)
+    for shift, least in ((12, 20 * us), (9, 3 * us), (15, 500 * us), (12, (1 << 32) - 1)):
+        rate = (1 << 26) // 1024 * 1023 * (1 << shift) // least  # pq in a knot
+        curve = (2 << 10) * (1 << 2 * shift) // 256**2
+        for more in (-1, 0, 1):
+            for numbers in (
+                [0, -900, 900, rate + more, 60, 50],
+                [0, -900, 900, 1, curve + more, 50],
+            ):
+                yield valid(
+                    knot_shift=shift, ahead_us=0, step_least_q16=least, position=numbers,
+                    home_speed_q16=1,
+                )  # fmt: skip
+    for period in (2047, 2048, 2049):
+        yield valid(step_least_q16=us, servo_period_us=period, position=[0, -9, 9, 1, 1, 1])
+    for least in (20 * us, 900 * us, 1 << 31):
+        speed = (1 << 42) * 256 // least
+        for more in (-1, 0, 1):
+            if speed + more < 1 << 30:
+                yield valid(
+                    step_least_q16=least, home_speed_q16=speed + more, position=[0, -9, 9, 1, 1, 1]
+                )
+
+
 def _bounds() -> Iterator[str]:
     def valid(**values: Value) -> str:
         return line("settings-valid", **values)
@@ -157,6 +192,7 @@ def _bounds() -> Iterator[str]:
     for name, values in (
         ("knot_shift", (8, 9, 15, 16)),
         ("torque_limit_tq", ((1 << 25) - 1, 1 << 25, (1 << 25) + 1)),
+        ("ahead_us", (0, 4095, 4096, 4097, 65_535)),
         ("spike_counts", ((1 << 18) - 1, 1 << 18, (1 << 18) + 1)),
         ("home_speed_q16", ((1 << 30) - 1, 1 << 30, (1 << 30) + 1)),
         ("home_method", (2, 3, 4, 5, 255)),
@@ -188,6 +224,7 @@ def _bounds() -> Iterator[str]:
             yield valid(**{name: value})
             if name.startswith("home_"):
                 yield valid(home_method=0, **{name: value})
+    yield from _steppers()
     for low, high in ((5, 4), (5, 5), (5, 6), (-5, -6)):
         yield valid(low_pq=low, high_pq=high)
     for size in (0, 1, 25, 26):

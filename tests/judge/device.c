@@ -16,7 +16,7 @@ static struct bench {
 
 // What a line's polls did.
 static struct {
-    int32_t polls, sent;
+    int32_t polls, sent, steps;
     int32_t power[POLLS_MAX], brake[POLLS_MAX], duty_q15[POLLS_MAX];
     struct rack_packet told[TOLD_MAX];
     uint64_t hash;
@@ -46,6 +46,14 @@ void rack_switched(int32_t output, int32_t value, uint32_t count_us) {
     fold((uint32_t)output);
     fold((uint32_t)value);
     fold(count_us);
+}
+
+void rack_stepped(uint32_t count_us, int32_t steps, uint32_t first_q16, uint32_t spacing_q16) {
+    fold(count_us);
+    fold((uint32_t)steps);
+    fold(first_q16);
+    fold(spacing_q16);
+    seen.steps += steps;
 }
 
 void rack_interrupt(struct board *board) {
@@ -80,6 +88,8 @@ static void say_line(int32_t most) {
         say_list("duty_q15", seen.duty_q15, seen.polls);
     else
         say_number("last_q15", board->duty_q15);
+    if (seen.steps != 0)
+        say_number("steps", seen.steps);
     if (board->chopper)
         say("chopper");
     if (board->digital_outputs != 0)

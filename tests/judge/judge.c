@@ -21,9 +21,9 @@ struct field {
 };
 
 static const struct word *const tables[] = {
-    codec_words, handshake_words, payload_words,   motion_words, stop_words,
-    clock_words, settings_words,  guard_words,     group_words,  history_words,
-    servo_words, peer_words,      neighbour_words, signal_words, device_words};
+    codec_words,    handshake_words, payload_words, motion_words,  stop_words,  clock_words,
+    settings_words, guard_words,     group_words,   history_words, servo_words, stepper_words,
+    peer_words,     neighbour_words, signal_words,  device_words};
 static const char *file_name;
 static int line_number;
 static struct field fields[FIELDS_MAX];

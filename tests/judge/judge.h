@@ -35,6 +35,6 @@ struct word {
 // One table for each kind of vectors; the last entry has no name.
 extern const struct word codec_words[], handshake_words[], payload_words[], motion_words[],
     stop_words[], settings_words[], guard_words[], group_words[], history_words[], servo_words[],
-    clock_words[], peer_words[], neighbour_words[], signal_words[], device_words[];
+    stepper_words[], clock_words[], peer_words[], neighbour_words[], signal_words[], device_words[];
 
 #endif

@@ -29,6 +29,13 @@ void board_set_brake(struct board *of, bool engaged) {
     of->brake = engaged;
 }
 
+// The axis is where its steps are: at once, as a rack has no time between two polls.
+void board_step(struct board *of, uint32_t count_us, int32_t steps, uint32_t first_q16,
+                uint32_t spacing_q16) {
+    of->axis.position_q16 += (int64_t)steps * 65536;
+    rack_stepped(count_us, steps, first_q16, spacing_q16);
+}
+
 bool board_stop_line(const struct board *of) { return of->line_open; }
 
 bool board_home_switch(const struct board *of) { return of->on_switch; }

@@ -60,6 +60,8 @@ struct board {
 void rack_sent(int32_t port, const uint8_t *bytes, int32_t size);
 void rack_switched(int32_t output, int32_t value, uint32_t count_us);
 
+void rack_stepped(uint32_t count_us, int32_t steps, uint32_t first_q16, uint32_t spacing_q16);
+
 // The timer's interrupt of the device with this board; device.c.
 void rack_interrupt(struct board *board);
 

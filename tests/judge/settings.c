@@ -19,6 +19,7 @@
     X(carries_gravity, carries_gravity)                                                            \
     X(torque_limit_tq, servo.torque_limit_tq)                                                      \
     X(integrate_running, servo.integrate_running)                                                  \
+    X(ahead_us, servo.ahead_us)                                                                    \
     X(following_pq, monitor.following_pq)                                                          \
     X(following_periods, monitor.following_periods)                                                \
     X(speed_pq, monitor.speed_pq)                                                                  \
@@ -57,7 +58,8 @@
     X(skew_gain_q8, sync.average.skew_gain_q8)                                                     \
     X(neighbours, neighbours)                                                                      \
     X(ask_us, ask_us)                                                                              \
-    X(peer_least_us, peer_least_us)
+    X(peer_least_us, peer_least_us)                                                                \
+    X(step_least_q16, step_least_q16)
 
 #define SCALES(X)                                                                                  \
     X(knot_periods, knot_periods)                                                                  \
@@ -65,6 +67,7 @@
     X(ki_tq, servo.ki_tq)                                                                          \
     X(kd_tq, servo.kd_tq)                                                                          \
     X(velocity_tq, servo.velocity_tq)                                                              \
+    X(acceleration_tq, servo.acceleration_tq)                                                      \
     X(resistance_mV, servo.resistance_mV)                                                          \
     X(emf_mV, servo.emf_mV)                                                                        \
     X(emf_tq, servo.emf_tq)                                                                        \

@@ -147,7 +147,7 @@ def _phase_margin(subject: Subject) -> Rule:
     rules = []
     for i, axis in subject.driven.items():
         gains = axis.servo
-        if gains.kp == gains.kd == gains.ki == 0:
+        if axis.steps or gains.kp == gains.kd == gains.ki == 0:
             continue
         margins = [
             phase_margin_deg(gains.kp, gains.kd + axis.motor.damping, gains.ki, inertia, lag_s)
