@@ -168,7 +168,7 @@ class Node:
     def pwm_q15(self) -> list[int]: ...
     @property
     def flips(self) -> list[tuple[int, int, bool]]:
-        """The last changes of digital outputs: true time, output, on."""
+        """The last changes of digital outputs, also those to come: true time, output, on."""
 
     @property
     def dropped(self) -> int: ...

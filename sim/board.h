@@ -34,7 +34,8 @@ struct encoder_fault {
     int32_t begun;
 };
 
-// A change of a digital output.
+// A change of a digital output, also one to come.
+#define FLIP_FORGOTTEN -1 // its output: it does not come
 struct flip {
     int64_t time_us; // true time
     int32_t output, on;

@@ -336,7 +336,8 @@ NB_MODULE(_board, m) {
                          for (uint32_t i = all > BOARD_FLIPS ? all - BOARD_FLIPS : 0; i < all;
                               i++) {
                              const flip &f = n->board.flip[i % BOARD_FLIPS];
-                             found.emplace_back(f.time_us, f.output, f.on != 0);
+                             if (f.output != FLIP_FORGOTTEN)
+                                 found.emplace_back(f.time_us, f.output, f.on != 0);
                          }
                          return found;
                      })
