@@ -10,7 +10,7 @@
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
 #define BOARD_OUTBOX 8
-#define BOARD_FLIPS 64
+#define BOARD_FLIPS 256 // twice those of all outputs that may wait
 
 struct parcel {
     int64_t time_us; // arrival or departure, true time
