@@ -28,15 +28,20 @@ bool pieces_begun(const struct pieces *track, int64_t time_us) {
     return track->next != 0 && piece(track, track->current)->start_us <= time_us;
 }
 
-int32_t pieces_now(struct pieces *track, int64_t time_us) {
-    if (track->next == 0)
-        return 0;
-    while (!pieces_begun(track, time_us) && track->current > oldest(track))
+// To a piece that has begun, if there is one.
+static bool go_back(struct pieces *track, int64_t time_us) {
+    while (track->current > oldest(track) && !pieces_begun(track, time_us))
         track->current--;
+    return pieces_begun(track, time_us);
+}
+
+int32_t pieces_now(struct pieces *track, int64_t time_us) {
+    if (!pieces_begun(track, time_us) && !go_back(track, time_us))
+        return 0;
     while (track->current + 1 < track->next &&
            piece(track, track->current + 1)->start_us <= time_us)
         track->current++;
-    return pieces_begun(track, time_us) ? value(piece(track, track->current), time_us) : 0;
+    return value(piece(track, track->current), time_us);
 }
 
 enum piece_result pieces_take(struct pieces *track, uint32_t number,
