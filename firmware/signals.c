@@ -107,11 +107,11 @@ static uint32_t count_of(const struct headway_clock *clock, int64_t time_us) {
 // At once: the board forgets what it was told of this output for later.
 static void set_digital(struct signals *signals, struct board *board, int32_t output, bool on,
                         uint32_t count_us) {
-    uint8_t bit = (uint8_t)(1 << output);
-    if (((signals->on & bit) != 0) == on && !(signals->ahead & bit))
+    uint32_t bit = 1u << output, wanted = (uint32_t)on << output;
+    if ((((signals->on ^ wanted) | signals->ahead) & bit) == 0)
         return;
-    signals->on = (uint8_t)(on ? signals->on | bit : signals->on & ~bit);
-    signals->ahead &= (uint8_t)~bit;
+    signals->on = (uint8_t)((signals->on & ~bit) | wanted);
+    signals->ahead = (uint8_t)(signals->ahead & ~bit);
     board_set_digital(board, output, on, count_us);
 }
 
@@ -159,18 +159,18 @@ static void set_pwm(struct signals *signals, struct board *board, int32_t output
 static void drive_outputs(struct signals *signals, struct board *board,
                           const struct headway_clock *clock, int64_t until_us) {
     const struct logic *logic = &signals->logic;
-    uint32_t left = signals->digitals | signals->on;
+    uint32_t left = signals->digitals | signals->on | signals->ahead;
     for (int32_t i = 0; left != 0; i++, left >>= 1) {
         uint8_t source = logic->digital[i];
         if (!(left & 1))
             continue;
-        if (source == SOURCE_UNUSED)
-            set_digital(signals, board, i, false, clock->count_us);
-        else if (source >= SOURCE_OF_PIECES && source < SOURCE_OF_INPUTS)
-            follow_track(signals, board, i, &signals->tracks[source - SOURCE_OF_PIECES], clock,
-                         until_us);
-        else
-            set_digital(signals, board, i, signals->values[source] != 0, clock->count_us);
+        uint32_t track = (uint32_t)source - SOURCE_OF_PIECES;
+        if (track < REPORT_TRACKS) {
+            follow_track(signals, board, i, &signals->tracks[track], clock, until_us);
+        } else {
+            bool on = source != SOURCE_UNUSED && signals->values[source] != 0;
+            set_digital(signals, board, i, on, clock->count_us);
+        }
     }
     left = signals->pwms | (ALL_PWM & ~signals->pwm_off);
     for (int32_t i = 0; left != 0; i++, left >>= 1) {

@@ -545,6 +545,24 @@ def test_a_late_servo_is_no_late_output(back: bool) -> None:
         assert abs(flips[0][0]) < 100 and abs(flips[1][0] - flips[0][0] - 200) <= 1
 
 
+@pytest.mark.parametrize("digital", [[], [TRACK + 1], [POSITION]])
+def test_another_logic_takes_back_what_was_told_ahead(digital: list[int]) -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    signals.write(TRACK, [event(EPOCH_US + 2_700_000, 1), event(EPOCH_US + 2_700_100, 0)])
+    boards.advance(2_600_000)
+    while not node.flips:  # until it is told, five periods ahead
+        boards.advance(boards.now_us + PERIOD_US // 4)
+    assert boards.now_us < 2_700_000 - 3 * PERIOD_US
+    signals.rule(Logic(digital=digital))
+    seal = boards.hosts[0].remote._session.seal
+    for packet in signals.packets(seal, boards.now_us + EPOCH_US):
+        node.deliver(boards.now_us, packet)
+    boards.advance(2_800_000)
+    assert not any(on for _, _, on in node.flips)
+
+
 def test_what_is_true_when_logic_comes_is_no_edge() -> None:
     boards = stage(boards=1)
     node, signals = boards.nodes[0], boards.hosts[0].remote.signals
