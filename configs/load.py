@@ -29,6 +29,9 @@ def load_config(path: Path, overrides: list[str] | None = None) -> Config:
     tree, mistakes = read_yaml(read_text(path), source)
     if not isinstance(tree, Table):
         raise ConfigError(*mistakes, Mistake(source, (), _no_section(tree)))
+    if "tracks" in tree and "devices" in tree and "machine" not in tree:
+        text = f"is a stage, without a machine: try headway play {clean(str(path), 4096)}"
+        raise ConfigError(Mistake(source, (), text))
     for order, text in enumerate(overrides or [], 1):
         tree, more = override(tree, text, order)
         mistakes += more

@@ -16,12 +16,16 @@ from headway.configs.mistakes.source import read_text, read_yaml
 from headway.configs.mistakes.tree import Table, places_at
 from headway.configs.mistakes.words import clean
 from headway.configs.schema import Channel, Sync
-from headway.configs.section import Finite, Positive, Section
+from headway.configs.section import Section
 
 Int32 = Annotated[int, Field(ge=-(2**31), le=2**31 - 1)]
 Time = Annotated[int, Field(ge=0, le=3_600_000_000)]  # us from the begin of the play
 Count = Annotated[int, Field(ge=1, le=10_000)]
 TRACKS_MAX, NODES_MAX = 11, 16
+LONGEST_US = 1 << 30  # of a ramp, see piece.h
+TWO = ("add", "multiply", "gate")  # kinds of nodes that read b
+Period = Annotated[float, Field(ge=1, le=1e9, allow_inf_nan=False)]  # us
+Counts = Annotated[float, Field(ge=-50_000, le=50_000, allow_inf_nan=False)]
 INPUTS = (
     "position", "error", "torque", "supply", "state",
     "digital0", "digital1", "digital2", "digital3",
@@ -64,6 +68,11 @@ class Node(Section):
     low: Int32 = 0
     high: Int32 = 0
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The names of what it reads."""
+        return (self.a, self.b) if self.kind in TWO else (self.a,)
+
 
 class Reading(Section):
     """What is sampled, and when."""
@@ -73,16 +82,17 @@ class Reading(Section):
     when: str = ""
     every: Annotated[int, Field(ge=1, le=65535)] = 1
     """Servo periods."""
-    fold_us: Positive | None = None
+    fold_us: Period | None = None
     """The period of what is read, to put its samples together by."""
 
 
 class Sensor(Section):
-    """What a device's encoder shows: a wave of two harmonics [counts]."""
+    """What a device's encoder shows: a wave of two harmonics [counts]. From one servo period to the
+    next it changes by fewer counts than a spike (2^18)."""
 
-    period_us: Positive
-    amplitude: Finite = 1000.0
-    second: Finite = 300.0
+    period_us: Period
+    amplitude: Counts = 1000.0
+    second: Counts = 300.0
 
 
 class Player(Section):
@@ -122,7 +132,7 @@ def order(nodes: dict[str, Node]) -> list[str]:
         if name in open_:
             raise ValueError(name)
         open_.append(name)
-        for read in (nodes[name].a, nodes[name].b):
+        for read in nodes[name].reads:
             if read in nodes:
                 visit(read)
         open_.remove(name)
@@ -163,15 +173,36 @@ def load_stage(path: Path) -> Stage:
     return stage
 
 
+def _track(track: Track) -> list[tuple[KeyPath, str]]:
+    """What cannot be of a track."""
+    stream, found = track.stream, list[tuple[KeyPath, str]]()
+    if (stream is None) == (not track.ramps):
+        found.append(((), "give either a stream or ramps"))
+    if stream is not None and stream.times > 1 and stream.on_us >= stream.every_us:
+        text = f"is not below every_us, {stream.every_us}: it goes on again before it is off"
+        found.append((("stream", "on_us"), text))
+    before_us = end_us = 0
+    for i, ramp in enumerate(track.ramps):
+        if i == 0 and (ramp.start_us is None or ramp.first is None):
+            found.append((("ramps", 0), "the first ramp needs start_us and first"))
+        start_us = end_us if ramp.start_us is None else ramp.start_us
+        if start_us < before_us:
+            text = f"is before the start of the ramp before it, {before_us}"
+            found.append((("ramps", i, "start_us"), text))
+        if not 0 <= ramp.end_us - start_us <= LONGEST_US:
+            text = f"has to be from its start, {start_us}, to {LONGEST_US} us after it"
+            found.append((("ramps", i, "end_us"), text))
+        before_us, end_us = start_us, ramp.end_us
+    return found
+
+
 def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
-    """Names that stand for nothing, cycles, and tracks that are neither."""
+    """Names that stand for nothing or for two things, cycles, and tracks that cannot be."""
     found: list[tuple[KeyPath, str]] = []
     for name, track in stage.tracks.items():
-        if (track.stream is None) == (not track.ramps):
-            found.append((("tracks", name), "give either a stream or ramps"))
-        first = track.ramps[0] if track.ramps else None
-        if first is not None and (first.start_us is None or first.first is None):
-            found.append((("tracks", name, "ramps", 0), "the first ramp needs start_us and first"))
+        found += [(("tracks", name, *key), text) for key, text in _track(track)]
+        if name in INPUTS:
+            found.append((("tracks", name), "is the name of an input: give it another one"))
     for name, device in stage.devices.items():
         known = [*stage.tracks, *INPUTS, *device.nodes]
 
@@ -187,8 +218,11 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
             check((*at, "pwm", i), read)
         for node, of in device.nodes.items():
             key = (*at, "nodes", node)
+            if node in stage.tracks or node in INPUTS:
+                what = "an input" if node in INPUTS else "a track"
+                found.append((key, f"is the name of {what}: give it another one"))
             check((*key, "a"), of.a)
-            if of.kind in ("add", "multiply", "gate"):
+            if of.kind in TWO:
                 check((*key, "b"), of.b)
             if of.low > of.high:
                 found.append(((*key, "low"), f"is above high, {of.high}"))

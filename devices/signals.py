@@ -52,21 +52,46 @@ class Logic:
 
     def check(self) -> None:
         """Raises ValueError, with the node's name, for what a device would refuse."""
+        for what, found, most in (
+            ("nodes", self.nodes, _core.GRAPH_NODES),
+            ("digital outputs", self.digital, _DIGITAL),
+            ("PWM outputs", self.pwm, _OUTPUTS - _DIGITAL),
+            ("readings", self.triggers, _TRIGGERS),
+        ):
+            if len(found) > most:
+                raise ValueError(f"{len(found)} {what}: a device has {most}")
+        for i, node in enumerate(self.nodes):
+            _fits(self.name_of(i), node, (_BYTE, _BYTE, _BYTE, _WORD, _WORD))
+        for i, source in enumerate(self.digital):
+            _fits(f"output {i}", (source,), (_BYTE,))
+        for i, source in enumerate(self.pwm):
+            _fits(f"output {_DIGITAL + i}", (source,), (_BYTE,))
+        for i, trigger in enumerate(self.triggers):
+            _fits(f"reading {i}", trigger, (_BYTE, _BYTE, _BYTE, range(1 << 16)))
         result, wrong = _core.logic_check(
             list(self.nodes), list(self.digital), list(self.pwm), list(self.triggers)
         )
-        if result == "good":
-            return
+        if result != "good":
+            raise ValueError(f"{self.name_of(wrong)} {WRONG[result]}")
+
+    def name_of(self, wrong: int) -> str:
+        """What a device counts: nodes, then outputs, then readings."""
         if wrong < len(self.nodes):
-            what = f"node {self.names[wrong] if wrong < len(self.names) else wrong}"
-        elif wrong < len(self.nodes) + _OUTPUTS:
-            what = f"output {wrong - len(self.nodes)}"
-        else:
-            what = f"reading {wrong - len(self.nodes) - _OUTPUTS}"
-        raise ValueError(f"{what} {WRONG[result]}")
+            return f"node {self.names[wrong] if wrong < len(self.names) else wrong}"
+        if wrong < len(self.nodes) + _OUTPUTS:
+            return f"output {wrong - len(self.nodes)}"
+        return f"reading {wrong - len(self.nodes) - _OUTPUTS}"
 
 
-_OUTPUTS = 6  # digital and PWM, see board.h
+_DIGITAL, _OUTPUTS, _TRIGGERS = 4, 6, 4  # see board.h (outputs: also PWM) and logic.h
+_BYTE, _WORD, _TIME = range(1 << 8), range(-(1 << 31), 1 << 31), range(-(1 << 59), (1 << 59) + 1)
+
+
+def _fits(what: str, numbers: Sequence[int], ranges: Sequence[range]) -> None:
+    for number, possible in zip(numbers, ranges, strict=True):
+        if number not in possible:
+            text = f"from {possible[0]} to {possible[-1]}"
+            raise ValueError(f"{what} has {number}, which is not {text}")
 
 
 @dataclass
@@ -75,17 +100,28 @@ class Signals:
 
     readings: list[tuple[int, int, int]] = field(default_factory=list)
     lost: int = 0  # readings that the device could not keep
-    refused: int = 0  # pieces
+    refused: int = 0  # pieces: what was repeated, too
+    late: int = 0  # pieces that came after their start: taken, but not in time
+    refusal: str | None = None  # of the logic that was sent last, by the device
     _pieces: dict[int, list[Piece]] = field(default_factory=dict)
     _next: dict[int, int] = field(default_factory=dict)
     _logic: Logic | None = None
     _number: int = 0
     _answered: int = 0
-    _seen: int = 0
+    _seen: int = 0  # readings before this one are here, or lost
+    _apart: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # told beyond a gap
     _heard: bool = False  # since something was sent
 
     def write(self, track: int, pieces: Sequence[Piece]) -> None:
-        """Appends to a track (a source, from _core.SOURCE_OF_PIECES on)."""
+        """Appends to a track (a source, from _core.SOURCE_OF_PIECES on). Raises ValueError, and
+        appends nothing, for what a device would refuse."""
+        if track not in range(_core.SOURCE_OF_PIECES, _core.SOURCE_OF_INPUTS):
+            known = f"{_core.SOURCE_OF_PIECES} to {_core.SOURCE_OF_INPUTS - 1}"
+            raise ValueError(f"there is no track {track} of pieces: give one of {known}")
+        written = self._pieces.get(track, [])
+        last = (self._start(written, len(written) - 1), written[-1].end_us) if written else None
+        for number, piece in enumerate(pieces, len(written)):
+            last = _follow(f"track {track}, piece {number}", piece, last)
         self._pieces.setdefault(track, []).extend(pieces)
 
     def rule(self, logic: Logic) -> None:
@@ -93,12 +129,15 @@ class Signals:
         logic.check()
         self._logic = logic
         self._number += 1
+        self.refusal = None
 
     @property
     def settled(self) -> bool:
         """Whether the device has all."""
-        return self._answered == self._number and all(
-            self._next.get(track, 0) == len(pieces) for track, pieces in self._pieces.items()
+        return (
+            self._answered == self._number
+            and self.refusal is None
+            and all(self._next.get(track, 0) == len(of) for track, of in self._pieces.items())
         )
 
     def packets(self, seal: Callable[[int, bytes], bytes], now_us: int) -> list[bytes]:
@@ -141,13 +180,42 @@ class Signals:
     def note(self, report: _core.Report) -> None:
         """Takes what the device has told."""
         self._heard = True
-        self._answered = max(self._answered, report.logic)
-        self.lost, self.refused = report.lost, report.refused
+        self._answered = report.logic
+        if report.logic == self._number and self._logic is not None:
+            good = report.result == "good"
+            what = self._logic.name_of(report.wrong)
+            self.refusal = None if good else f"{what} {WRONG[report.result]}"
+        self.refused, self.late = report.refused, report.late
         for i, number in enumerate(report.next):
             self._next[_core.SOURCE_OF_PIECES + i] = number
-        fresh = report.readings[max(0, self._seen - report.first) :]
-        self.readings += fresh
-        self._seen = max(self._seen, report.first + len(report.readings))
+        self._apart |= dict(enumerate(report.readings, report.first))
+        left = sorted(number for number in self._apart if number >= self._seen)
+        for number in left:
+            if number > self._seen and number > report.kept:
+                break
+            self.lost += number - self._seen
+            self.readings.append(self._apart[number])
+            self._seen = number + 1
+        self.lost += max(0, report.kept - self._seen)
+        self._seen = max(self._seen, report.kept)
+        self._apart = {n: self._apart[n] for n in left if n >= self._seen}
 
 
-_MOST = 40  # pieces in a frame
+def _follow(what: str, piece: Piece, before: tuple[int, int] | None) -> tuple[int, int]:
+    """A piece's start and end [us] after one with these. Raises ValueError."""
+    if before is None and (piece.start_us is None or piece.start is None):
+        raise ValueError(f"{what} is the first one: give it a start and a first value")
+    before_us, end_us = before or (piece.start_us or 0, 0)
+    start_us = end_us if piece.start_us is None else piece.start_us
+    _fits(what, (start_us, piece.end_us), (_TIME, _TIME))
+    _fits(what, (piece.start or 0, piece.to), (_WORD, _WORD))
+    if start_us < before_us:
+        raise ValueError(f"{what} starts at {start_us}, before the piece before it, {before_us}")
+    took_us = piece.end_us - start_us
+    if not 0 <= took_us <= _core.PIECE_LONGEST_US:
+        longest = _core.PIECE_LONGEST_US
+        raise ValueError(f"{what} takes {took_us} us, which is not from 0 to {longest}")
+    return start_us, piece.end_us
+
+
+_MOST = 29  # pieces in a frame of 1000 bytes: 13, and 34 each at most (batch.h)

@@ -556,6 +556,7 @@ FRAME_SIGNALS: int
 FRAME_LOGIC: int
 FRAME_READINGS: int
 PIECES: int
+PIECE_LONGEST_US: int
 BATCH_PIECES: int
 GRAPH_NODES: int
 READINGS: int
@@ -604,7 +605,9 @@ class Report:
     @property
     def refused(self) -> int: ...
     @property
-    def lost(self) -> int: ...
+    def late(self) -> int: ...
+    @property
+    def kept(self) -> int: ...
     @property
     def first(self) -> int: ...
     @property

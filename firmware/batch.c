@@ -3,7 +3,7 @@
 #include "graph.h" // sources
 
 static void visit_time(struct fields *f, int64_t base_us, int64_t *time_us) {
-    int64_t since_us = *time_us - base_us;
+    int64_t since_us = (int64_t)((uint64_t)*time_us - (uint64_t)base_us); // whatever they are
     field_varint(f, &since_us);
     f->failed |= since_us > PIECE_TIME_MAX || since_us < -PIECE_TIME_MAX;
     if (!f->failed)

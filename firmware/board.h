@@ -44,8 +44,9 @@ bool board_index(struct board *board, int32_t *count);
 int32_t board_supply_mV(const struct board *board);
 void board_set_chopper(struct board *board, bool on); // burns what the motor feeds back
 
-// Outputs and inputs beside the axis, as many as it has. A digital output changes at a count, at once
-// if that is past; of one output several changes may wait, in order.
+// Outputs and inputs beside the axis, as many as it has. A digital output changes at a count, a few servo
+// periods ahead at most; of one output up to 32 changes may wait, in order. If the count is not to come
+// the output changes at once, and what waits for it is forgotten: so off is off.
 #define BOARD_DIGITAL 4
 #define BOARD_PWM 2
 void board_set_digital(struct board *board, int32_t output, bool on, uint32_t count_us);

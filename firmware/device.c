@@ -245,7 +245,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     heed_guard(device, count_us);
     drive(device, board, &now, count_us);
     look_ahead(device, now.knot);
-    if (device->signals.used || device->signals.on != 0)
+    if (device->signals.used || !signals_idle(&device->signals))
         run_signals(device, board, &now);
     admit_advance(device, count_us);
     if (now.knot != device->status_knot) {

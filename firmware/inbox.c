@@ -136,7 +136,7 @@ static void take_settings(struct device *device, const uint8_t *payload, int32_t
 }
 
 // Whether a frame came after one that was sent later. Of a plan: if that one was accepted, it had
-// the points of this one.
+// the points of this one. Logic is sent again until there is an answer.
 static bool overtaken(const struct session *session, const uint8_t *frame) {
     return frame_counter(frame) < session->received;
 }
@@ -176,7 +176,8 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
     case FRAME_LOGIC:
         if (!logic_decode(payload, size, &logic))
             return false;
-        signals_rule(&device->signals, &logic);
+        if (!overtaken(&device->session, frame)) // else one that holds no longer
+            signals_rule(&device->signals, &logic);
         return true;
     case FRAME_GROUP:
         return group_decode(&device->session, frame, size, &device->group);

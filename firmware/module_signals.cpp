@@ -77,6 +77,7 @@ void bind_signals(nb::module_ &m) {
     m.attr("FRAME_LOGIC") = (int)FRAME_LOGIC;
     m.attr("FRAME_READINGS") = (int)FRAME_READINGS;
     m.attr("PIECES") = PIECES;
+    m.attr("PIECE_LONGEST_US") = PIECE_LONGEST_US;
     m.attr("BATCH_PIECES") = BATCH_PIECES;
     m.attr("GRAPH_NODES") = GRAPH_NODES;
     m.attr("READINGS") = READINGS;
@@ -119,7 +120,8 @@ void bind_signals(nb::module_ &m) {
             "next",
             [](const report &r) { return std::vector<uint32_t>(r.next, r.next + REPORT_TRACKS); })
         .def_ro("refused", &report::refused)
-        .def_ro("lost", &report::lost)
+        .def_ro("late", &report::late)
+        .def_ro("kept", &report::kept)
         .def_ro("first", &report::first)
         .def_prop_ro("readings", [](const report &r) {
             std::vector<std::tuple<int64_t, int32_t, int>> found;

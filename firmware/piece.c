@@ -24,9 +24,20 @@ int32_t pieces_at(const struct pieces *track, int64_t time_us) {
     return 0;
 }
 
+bool pieces_begun(const struct pieces *track, int64_t time_us) {
+    return track->next != 0 && piece(track, track->current)->start_us <= time_us;
+}
+
+// To a piece that has begun, if there is one.
+static bool go_back(struct pieces *track, int64_t time_us) {
+    while (track->current > oldest(track) && !pieces_begun(track, time_us))
+        track->current--;
+    return pieces_begun(track, time_us);
+}
+
 int32_t pieces_now(struct pieces *track, int64_t time_us) {
-    if (track->next == 0 || piece(track, track->current)->start_us > time_us)
-        return 0; // the first one has not begun
+    if (!pieces_begun(track, time_us) && !go_back(track, time_us))
+        return 0;
     while (track->current + 1 < track->next &&
            piece(track, track->current + 1)->start_us <= time_us)
         track->current++;
@@ -44,8 +55,6 @@ enum piece_result pieces_take(struct pieces *track, uint32_t number,
     int64_t took_us = wanted->end_us - start_us;
     if (took_us < 0 || took_us > PIECE_LONGEST_US || (before && start_us < before->start_us))
         return PIECE_ORDER;
-    if (start_us < now_us)
-        return PIECE_LATE;
     if (track->next >= PIECES && piece(track, track->next - PIECES + 1)->start_us > now_us)
         return PIECE_FULL;
     struct piece taken = {.start_us = start_us, .end_us = wanted->end_us, .to = wanted->to};
@@ -56,5 +65,5 @@ enum piece_result pieces_take(struct pieces *track, uint32_t number,
         track->current++;
     track->ring[number % PIECES] = taken;
     track->next++;
-    return PIECE_TAKEN;
+    return start_us < now_us ? PIECE_LATE : PIECE_TAKEN;
 }

@@ -26,14 +26,14 @@ struct wanted_piece {
 
 struct pieces {
     uint32_t next;    // number of the piece that comes next: they count up from 0
-    uint32_t current; // of the one that runs, or ran last, once there is one
+    uint32_t current; // of the one that runs, or ran last, when it was last asked for
     struct piece ring[PIECES];
 };
 
 enum piece_result {
     PIECE_TAKEN, // or taken before
     PIECE_GAP,   // others are missing before it, or there is none to go on from
-    PIECE_LATE,  // its start is past
+    PIECE_LATE,  // taken, but its start was past: the track goes on from where it should be
     PIECE_ORDER, // before the one before it, ends before it starts, or takes too long
     PIECE_FULL,  // would overwrite one that has not begun
 };
@@ -45,7 +45,10 @@ enum piece_result pieces_take(struct pieces *track, uint32_t number,
 // it is exact, on the way off by less than 2.
 int32_t pieces_at(const struct pieces *track, int64_t time_us);
 
-// The same at a time that only goes on.
+// The same, at little cost at a time near that of the last call. The clock may have stepped back.
 int32_t pieces_now(struct pieces *track, int64_t time_us);
+
+// Whether the piece that pieces_now found last had begun at its time: there is none before the first.
+bool pieces_begun(const struct pieces *track, int64_t time_us);
 
 #endif

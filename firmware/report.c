@@ -20,7 +20,8 @@ static void visit(struct fields *f, struct report *report) {
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
         field_u32(f, &report->next[i]);
     field_u32(f, &report->refused);
-    field_u32(f, &report->lost);
+    field_u32(f, &report->late);
+    field_u32(f, &report->kept);
     field_u32(f, &report->first);
     field_u8(f, &report->count);
     f->failed |= report->count > REPORT_READINGS;

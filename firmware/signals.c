@@ -10,8 +10,9 @@ void signals_take(struct signals *signals, const struct batch *batch, int64_t no
     for (int32_t i = 0; i < batch->count; i++) {
         const struct batch_piece *sent = &batch->pieces[i];
         struct pieces *track = &signals->tracks[sent->track - SOURCE_OF_PIECES];
-        if (pieces_take(track, sent->number, &sent->piece, now_us) != PIECE_TAKEN)
-            signals->refused++;
+        enum piece_result result = pieces_take(track, sent->number, &sent->piece, now_us);
+        signals->late += result == PIECE_LATE;
+        signals->refused += result != PIECE_LATE && result != PIECE_TAKEN;
         if (track->next != 0)
             signals->begun |= (uint16_t)(1 << (sent->track - SOURCE_OF_PIECES));
     }
@@ -40,6 +41,21 @@ static uint32_t reads(const struct logic *logic) {
     return all;
 }
 
+// What is true from the start is no edge: bit i, node or trigger i has its input for true.
+static uint16_t edge_nodes(const struct logic *logic) {
+    uint32_t all = 0;
+    for (int32_t i = 0; i < logic->nodes; i++)
+        all |= (uint32_t)(logic->node[i].kind == NODE_EDGE) << i;
+    return (uint16_t)all;
+}
+
+static uint8_t edge_triggers(const struct logic *logic) {
+    uint32_t all = 0;
+    for (int32_t i = 0; i < logic->triggers; i++)
+        all |= (uint32_t)(logic->trigger[i].kind == TRIGGER_EDGE) << i;
+    return (uint8_t)all;
+}
+
 void signals_rule(struct signals *signals, const struct logic *logic) {
     int32_t wrong;
     if (signals->used && logic->number == signals->asked)
@@ -56,30 +72,31 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
     signals->digitals = driven(logic->digital, BOARD_DIGITAL);
     signals->pwms = driven(logic->pwm, BOARD_PWM);
     signals->graph.count = logic->nodes;
-    signals->graph.held = 0;
+    signals->graph.held = edge_nodes(logic);
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
-    signals->met = 0;
-    signals->until_us = -PIECE_TIME_MAX; // outputs take the place that they should have
+    signals->met = edge_triggers(logic);
+    signals->placed = 0;
 }
 
-void signals_report(const struct signals *signals, struct report *report) {
-    const struct readings *readings = &signals->readings;
-    uint32_t waiting = readings->taken - readings->kept;
+void signals_report(struct signals *signals, struct report *report) {
+    struct readings *readings = &signals->readings;
+    uint32_t count;
     report->logic = signals->asked;
     report->result = signals->result;
     report->wrong = signals->wrong;
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
         report->next[i] = signals->tracks[i].next;
     report->refused = signals->refused;
-    report->lost = readings->lost;
-    report->first = readings->kept;
-    report->count = (uint8_t)(waiting < REPORT_READINGS ? waiting : REPORT_READINGS);
+    report->late = signals->late;
+    report->kept = readings->kept;
+    report->first = readings_tell(readings, REPORT_READINGS, &count);
+    report->count = (uint8_t)count;
     report->readings[0] = (struct reading){0}; // its time is told, also where there is none
-    for (uint32_t i = 0; i < report->count; i++)
-        report->readings[i] = readings->ring[(readings->kept + i) % READINGS];
+    for (uint32_t i = 0; i < count; i++)
+        report->readings[i] = readings->ring[(report->first + i) % READINGS];
 }
 
-// The count at a time that is at most a servo period ahead, or past.
+// The count at a time that is a few servo periods ahead at most, or past.
 static uint32_t count_of(const struct headway_clock *clock, int64_t time_us) {
     int64_t ahead_us = time_us - clock->system_us;
     if (ahead_us <= 0)
@@ -87,26 +104,49 @@ static uint32_t count_of(const struct headway_clock *clock, int64_t time_us) {
     return clock->count_us + (uint32_t)(ahead_us - ((ahead_us * clock->rate_q32) >> 32));
 }
 
+// At once: the board forgets what it was told of this output for later.
 static void set_digital(struct signals *signals, struct board *board, int32_t output, bool on,
                         uint32_t count_us) {
-    if ((signals->on >> output & 1) == on)
+    uint32_t bit = 1u << output, wanted = (uint32_t)on << output;
+    if ((((signals->on ^ wanted) | signals->ahead) & bit) == 0)
         return;
-    signals->on ^= (uint8_t)(1 << output);
+    signals->on = (uint8_t)((signals->on & ~bit) | wanted);
+    signals->ahead = (uint8_t)(signals->ahead & ~bit);
     board_set_digital(board, output, on, count_us);
 }
 
-// What a track changes until the next period the board is told ahead, with its count: so the output
-// changes at that microsecond, whenever periods are.
+// The output as the track has it now; from there on it is told what changes.
+static void place(struct signals *signals, struct board *board, int32_t output,
+                  const struct pieces *track, const struct headway_clock *clock) {
+    bool begun = pieces_begun(track, clock->system_us);
+    bool on = begun && track->ring[track->current % PIECES].to != 0;
+    set_digital(signals, board, output, on, clock->count_us);
+    signals->told[output] = track->current + begun;
+    signals->placed |= (uint8_t)(1 << output);
+}
+
+// What a track changes until then the board is told ahead, with its count: so the output changes at
+// that microsecond, whenever periods are. Of pieces that came too late the one that runs is told.
 static void follow_track(struct signals *signals, struct board *board, int32_t output,
                          const struct pieces *track, const struct headway_clock *clock,
                          int64_t until_us) {
-    for (uint32_t number = track->current; number < track->next; number++) {
+    if (!(signals->placed >> output & 1))
+        place(signals, board, output, track, clock);
+    uint32_t number = signals->told[output];
+    if (number < track->current)
+        number = track->current;
+    for (; number < track->next; number++) {
         const struct piece *piece = &track->ring[number % PIECES];
+        bool on = piece->to != 0, was_on = signals->on >> output & 1;
         if (piece->start_us >= until_us)
-            return;
-        if (piece->start_us >= signals->until_us)
-            set_digital(signals, board, output, piece->to != 0, count_of(clock, piece->start_us));
+            break;
+        if (on == was_on)
+            continue;
+        signals->on ^= (uint8_t)(1 << output);
+        signals->ahead |= (uint8_t)(1 << output);
+        board_set_digital(board, output, on, count_of(clock, piece->start_us));
     }
+    signals->told[output] = number;
 }
 
 static void set_pwm(struct signals *signals, struct board *board, int32_t output, int32_t duty) {
@@ -119,18 +159,18 @@ static void set_pwm(struct signals *signals, struct board *board, int32_t output
 static void drive_outputs(struct signals *signals, struct board *board,
                           const struct headway_clock *clock, int64_t until_us) {
     const struct logic *logic = &signals->logic;
-    uint32_t left = signals->digitals | signals->on;
+    uint32_t left = signals->digitals | signals->on | signals->ahead;
     for (int32_t i = 0; left != 0; i++, left >>= 1) {
         uint8_t source = logic->digital[i];
         if (!(left & 1))
             continue;
-        if (source == SOURCE_UNUSED)
-            set_digital(signals, board, i, false, clock->count_us);
-        else if (source >= SOURCE_OF_PIECES && source < SOURCE_OF_INPUTS)
-            follow_track(signals, board, i, &signals->tracks[source - SOURCE_OF_PIECES], clock,
-                         until_us);
-        else
-            set_digital(signals, board, i, signals->values[source] != 0, clock->count_us);
+        uint32_t track = (uint32_t)source - SOURCE_OF_PIECES;
+        if (track < REPORT_TRACKS) {
+            follow_track(signals, board, i, &signals->tracks[track], clock, until_us);
+        } else {
+            bool on = source != SOURCE_UNUSED && signals->values[source] != 0;
+            set_digital(signals, board, i, on, clock->count_us);
+        }
     }
     left = signals->pwms | (ALL_PWM & ~signals->pwm_off);
     for (int32_t i = 0; left != 0; i++, left >>= 1) {
@@ -159,23 +199,25 @@ static void switch_off(struct signals *signals, struct board *board,
         set_digital(signals, board, i, false, clock->count_us);
     for (int32_t i = 0; i < BOARD_PWM; i++)
         set_pwm(signals, board, i, 0);
-    signals->until_us = -PIECE_TIME_MAX; // later they take the place that they should have
+    signals->placed = 0; // later they take the place that they should have
+}
+
+bool signals_idle(const struct signals *signals) {
+    return !signals->used && signals->on == 0 && signals->ahead == 0 && signals->pwm_off == ALL_PWM;
 }
 
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
                   uint16_t period_us, bool live) {
-    int64_t time_us = clock->system_us, until_us = time_us + period_us;
+    int64_t time_us = clock->system_us;
     uint32_t left = signals->begun;
     for (int32_t i = 0; left != 0; i++, left >>= 1)
         if (left & 1)
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
     graph_step(&signals->graph, signals->values);
-    if (signals->ruled && live) {
-        drive_outputs(signals, board, clock, until_us);
-        signals->until_us = until_us > signals->until_us ? until_us : signals->until_us;
-    } else {
+    if (signals->ruled && live)
+        drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
+    else
         switch_off(signals, board, clock);
-    }
     for (int32_t i = 0; i < signals->logic.triggers; i++)
         if (is_due(signals, i))
             readings_push(&signals->readings, time_us,
@@ -183,8 +225,9 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
 }
 
 void signals_restart(struct signals *signals) {
-    uint8_t on = signals->on, pwm_off = signals->pwm_off;
+    uint8_t on = signals->on, ahead = signals->ahead, pwm_off = signals->pwm_off;
     memset(signals, 0, sizeof *signals);
     signals->on = on;
+    signals->ahead = ahead;
     signals->pwm_off = pwm_off;
 }

@@ -8,40 +8,50 @@
 #include "logic.h"
 #include "report.h"
 
+#define SIGNALS_AHEAD 5 // servo periods of changes that the board is told ahead: so late one may be
+
+// What every servo period touches comes first: a small core reaches 32 bytes at no cost.
 struct signals {
     bool used;                     // some have come
     bool ruled;                    // there is a logic
-    struct logic logic;            // that holds
-    uint32_t reads;                // bit i: it reads source i, a track or an input
-    uint32_t asked;                // number of the one that came last ...
-    uint8_t result, wrong;         // ... and what was wrong with it
-    uint32_t refused;              // pieces, ever
-    int64_t until_us;              // the board knows of changes up to here
-    uint8_t on;                    // bit i: digital output i, as the board was told
+    uint8_t on;                    // bit i: digital output i, as the board was told last ...
+    uint8_t ahead;                 // ... bit i: with a count that was yet to come
+    uint8_t placed;                // bit i: told[i] is right
     uint8_t pwm_off;               // bit i: the board was told 0 for PWM output i
     uint8_t digitals, pwms;        // bit i: something drives output i
-    uint16_t begun;                // bit i: there are pieces of track i
     uint8_t met;                   // bit i: the condition of trigger i was true
+    uint8_t result, wrong;         // of the logic that came last: what was wrong with it
+    uint16_t begun;                // bit i: there are pieces of track i
     uint16_t wait[LOGIC_TRIGGERS]; // periods until its next reading
+    uint32_t asked;                // number of the logic that came last
+    uint32_t reads;                // bit i: the logic reads source i, a track or an input
+    uint32_t refused;              // pieces, ever
+    uint32_t late;                 // of those that were taken
+    uint32_t told[BOARD_DIGITAL];  // the piece of its track that output i is told of next
+    struct logic logic;            // that holds
     struct graph graph;
     struct pieces tracks[REPORT_TRACKS];
     struct readings readings;
     int32_t values[GRAPH_VALUES]; // of the last period
 };
 
-// Pieces are taken one by one: one that is refused is missing, and so those after it in its track.
+// Pieces are taken one by one: one that is refused is missing, and so those after it in its track. One
+// that is late is taken, and counted.
 void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us);
 
 // As a whole or not at all; the same number again changes nothing.
 void signals_rule(struct signals *signals, const struct logic *logic);
 
-void signals_report(const struct signals *signals, struct report *report);
+// What is to be told now; it counts as told.
+void signals_report(struct signals *signals, struct report *report);
 
-// One servo period at the clock's time. `values` has what is read of tracks
-// of motion and inputs. While it is not
-// `live`, all outputs are off.
+// One servo period at the clock's time. `values` has what is read of tracks of motion and inputs. While
+// it is not `live`, all outputs are off.
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
                   uint16_t period_us, bool live);
+
+// Nothing has come, and the board knows that all outputs are off: there is nothing to do.
+bool signals_idle(const struct signals *signals);
 
 // Forgets all but where the outputs are: another host counts from the start.
 void signals_restart(struct signals *signals);

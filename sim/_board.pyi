@@ -177,7 +177,11 @@ class Node:
     def pwm_q15(self) -> list[int]: ...
     @property
     def flips(self) -> list[tuple[int, int, bool]]:
-        """The last changes of digital outputs: true time, output, on."""
+        """The last changes of digital outputs, also those to come: true time, output, on."""
+
+    def flips_from(self, number: int) -> list[tuple[int, int, bool]]:
+        """All changes from a number on, they count from 0; output -1: it was forgotten. Raises
+        ValueError if some are no longer remembered."""
 
     @property
     def dropped(self) -> int: ...

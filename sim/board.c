@@ -96,11 +96,21 @@ void board_set_brake(struct board *board, bool engaged) {
     board->brake = engaged;
 }
 
+static void forget_flips(struct board *board, int32_t output) {
+    for (int32_t i = 0; i < BOARD_FLIPS; i++)
+        if (board->flip[i].output == output && board->flip[i].time_us > board->true_us)
+            board->flip[i].output = FLIP_FORGOTTEN;
+}
+
 // A count to come is a timer's, which changes the output by itself. It is so near that the counter's
-// drift until then is far below a microsecond.
+// drift until then changes by far less than a microsecond.
 void board_set_digital(struct board *board, int32_t output, bool on, uint32_t count_us) {
     int32_t ahead_us = (int32_t)(count_us - board_count_us(board));
-    int64_t time_us = board->true_us + (ahead_us > 0 ? ahead_us : 0);
+    int64_t time_us = board->true_us;
+    if (ahead_us <= 0)
+        forget_flips(board, output);
+    else
+        time_us += ahead_us - (int32_t)(board_count_at(board, time_us + ahead_us) - count_us);
     board->flip[board->flips++ % BOARD_FLIPS] = (struct flip){time_us, output, on};
 }
 

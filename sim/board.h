@@ -10,7 +10,7 @@
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
 #define BOARD_OUTBOX 8
-#define BOARD_FLIPS 64
+#define BOARD_FLIPS 256 // twice those of all outputs that may wait
 
 struct parcel {
     int64_t time_us; // arrival or departure, true time
@@ -50,7 +50,8 @@ struct stepping {
     struct pulse_train ring[BOARD_TRAINS];
 };
 
-// A change of a digital output.
+// A change of a digital output, also one to come.
+#define FLIP_FORGOTTEN -1 // its output: it does not come
 struct flip {
     int64_t time_us; // true time
     int32_t output, on;

@@ -355,10 +355,24 @@ NB_MODULE(_board, m) {
                          for (uint32_t i = all > BOARD_FLIPS ? all - BOARD_FLIPS : 0; i < all;
                               i++) {
                              const flip &f = n->board.flip[i % BOARD_FLIPS];
-                             found.emplace_back(f.time_us, f.output, f.on != 0);
+                             if (f.output != FLIP_FORGOTTEN)
+                                 found.emplace_back(f.time_us, f.output, f.on != 0);
                          }
                          return found;
                      })
+        .def(
+            "flips_from",
+            [](Node &n, uint32_t number) {
+                std::vector<std::tuple<int64_t, int32_t, bool>> found;
+                if (n->board.flips - number > BOARD_FLIPS)
+                    throw std::invalid_argument("more changes than the board remembers");
+                for (uint32_t i = number; i != n->board.flips; i++) {
+                    const flip &f = n->board.flip[i % BOARD_FLIPS];
+                    found.emplace_back(f.time_us, f.output, f.on != 0);
+                }
+                return found;
+            },
+            "number"_a)
         .def_prop_ro("dropped", [](Node &n) { return n->board.dropped; })
         .def_prop_ro("torque_tq", [](Node &n) { return n->device.servo.torque_tq; })
         .def_prop_ro("unclipped_tq", [](Node &n) { return n->device.servo.unclipped_tq; })

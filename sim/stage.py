@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.configs.stage import INPUTS, Sensor, Stage, Track, order
-from headway.devices.signals import Logic, Piece, event
+from headway.configs.stage import INPUTS, TWO, Sensor, Stage, Track, order
+from headway.devices.signals import Logic, Piece, Signals, event
 from headway.firmware import _core
 from headway.sim.boards import Boards, Crystal, Host
 from headway.sim.network import Wire
 
 EPOCH_US = 1_700_000_000_000_000
 KNOT_SHIFT = 12
-COUNTS_MAX = 1 << 20
+STEP_US = 250  # from one look at the outputs to the next
+AFTER_US = 200_000  # that the boards play on, so that the last readings arrive
 
 
-def pieces(track: Track, begin_us: int) -> list[Piece]:
-    """Of a track, in system time."""
+def pieces(track: Track, begin_us: int, end_us: int) -> list[Piece]:
+    """Of a track, in system time: those that start before the end."""
     stream = track.stream
     if stream is not None:
-        return [
+        events = [
             e
             for i in range(stream.times)
             for at in [begin_us + stream.start_us + i * stream.every_us]
             for e in (event(at, stream.value), event(at + stream.on_us, 0))
         ]
-    return [
-        Piece(
-            begin_us + ramp.end_us,
-            ramp.last,
-            None if ramp.start_us is None else begin_us + ramp.start_us,
-            ramp.first,
-        )
-        for ramp in track.ramps
-    ]
+        return [e for e in events if e.end_us < end_us]
+    found: list[Piece] = []
+    for ramp in track.ramps:
+        start_us = None if ramp.start_us is None else begin_us + ramp.start_us
+        if (found[-1].end_us if start_us is None else start_us) >= end_us:
+            break
+        found.append(Piece(begin_us + ramp.end_us, ramp.last, start_us, ramp.first))
+    return found
 
 
 def wave(sensor: Sensor, time_us: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,7 +104,8 @@ class Play:
         return lambda true_us: int(np.rint(wave(sensor, np.array([float(true_us)]))[0]))
 
     def run(self) -> None:
-        """To the end. Raises ValueError, with the device's name, for clocks that do not settle."""
+        """To the end. Raises ValueError, with the device's name, for clocks that do not settle, and
+        for outputs that change faster than they are looked at."""
         begin_us = round(self.stage.settle_s * 1e6)
         self.boards.advance(begin_us - 500_000)
         for name, node in zip(self.names, self.boards.nodes, strict=True):
@@ -111,20 +114,32 @@ class Play:
                     f"the clock of {name} has not settled within settle_s: {self.stage.settle_s:g}"
                 )
         self._begin_us = begin_us
+        self._end_us = begin_us + round(self.stage.duration_s * 1e6) + AFTER_US
         for i, name in enumerate(self.names):
             self._hand_out(i, name)
-        end_us = begin_us + round(self.stage.duration_s * 1e6)
         self.fired: list[dict[int, list[int]]] = [{} for _ in self.names]
-        known = [0] * len(self.names)
-        for now_us in range(begin_us, end_us + 200_000, 20_000):
+        self._looked = [0] * len(self.names)
+        for now_us in range(begin_us, self._end_us, STEP_US):
             self.boards.advance(now_us)
             told = [max(-low, high) / 1000 for low, high in self.boards.told_ns()]
             self.widest_us = max(self.widest_us, *told)
-            for i, node in enumerate(self.boards.nodes):
-                for time_us, output, on in node.flips:
-                    if on and time_us > known[i]:
-                        self.fired[i].setdefault(output, []).append(time_us - begin_us)
-                known[i] = max([known[i], *(t for t, _, _ in node.flips)])
+            for i in range(len(self.names)):
+                self._look(i, now_us)
+
+    def _look(self, index: int, now_us: int) -> None:
+        """Notes which outputs have gone on. What is yet to come may be forgotten: it waits."""
+        try:
+            flips = self.boards.nodes[index].flips_from(self._looked[index])
+        except ValueError as error:
+            raise ValueError(
+                f"the outputs of {self.names[index]} change too fast: {error}"
+            ) from error
+        for time_us, output, on in flips:
+            if time_us > now_us and output >= 0:
+                break
+            self._looked[index] += 1
+            if on and output >= 0:
+                self.fired[index].setdefault(output, []).append(time_us - self._begin_us)
 
     def readings(self, device: int, trigger: int) -> NDArray[np.int64]:
         """Times and values (n, 2)."""
@@ -133,8 +148,9 @@ class Play:
         told = [(t - begin_us, value) for t, value, of in signals.readings if of == trigger]
         return np.array(told, dtype=np.int64).reshape(-1, 2)
 
-    def lost(self, device: int) -> int:
-        return self.boards.hosts[device].remote.signals.lost
+    def signals(self, device: int) -> Signals:
+        """As the host has them: what was late, refused and lost, and whether the device has all."""
+        return self.boards.hosts[device].remote.signals
 
     def _hand_out(self, index: int, name: str) -> None:
         device, signals = self.stage.devices[name], self.boards.hosts[index].remote.signals
@@ -146,7 +162,7 @@ class Play:
             (
                 _core.NODE_KINDS.index(node.kind),
                 source[node.a],
-                source.get(node.b, 0),
+                source.get(node.b, 0) if node.kind in TWO else 0,
                 node.low,
                 node.high,
             )
@@ -171,25 +187,25 @@ class Play:
             )
         )
         used = {*device.digital, *device.pwm}
-        used |= {r for n in device.nodes.values() for r in (n.a, n.b)}
+        used |= {r for n in device.nodes.values() for r in n.reads}
         used |= {r for reading in device.readings for r in (reading.read, reading.when)}
         for track in used & set(self.stage.tracks):
-            signals.write(
-                source[track], pieces(self.stage.tracks[track], EPOCH_US + self._begin_us)
-            )
+            begin_us, end_us = EPOCH_US + self._begin_us, EPOCH_US + self._end_us
+            signals.write(source[track], pieces(self.stage.tracks[track], begin_us, end_us))
 
 
 def reconstruct(
     readings: NDArray[np.int64], period_us: float, harmonics: int = 3
 ) -> tuple[float, NDArray[np.float64]]:
     """One period of a wave from samples at many of its periods: the rms of what the harmonics leave
-    over, by that of the wave, and their amplitudes. Least squares (a Fourier series at the samples'
-    own phases)."""
+    over, by that of the wave (of a constant: NaN), and their amplitudes. Least squares (a Fourier
+    series at the samples' own phases)."""
     angle = 2 * np.pi * readings[:, 0] / period_us
     columns = [np.ones_like(angle)]
     for k in range(1, harmonics + 1):
         columns += [np.sin(k * angle), np.cos(k * angle)]
     basis, values = np.stack(columns, axis=1), readings[:, 1].astype(float)
     found, *_ = np.linalg.lstsq(basis, values, rcond=None)
-    left = float(np.std(values - basis @ found) / np.std(values))
+    wave = float(np.std(values))
+    left = float(np.std(values - basis @ found)) / wave if wave > 0 else math.nan
     return left, np.hypot(found[1::2], found[2::2])

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from headway.cli.main import main
@@ -42,7 +43,8 @@ def test_the_sensor_samples_on_each_edge_in_the_window(played: Play) -> None:
     for time_us, _ in told:
         late = min(time_us - a for a in asked if time_us - a > -20)
         assert late <= 1000 + 20  # a servo period, and the clock
-    assert played.lost(2) == 0
+    assert [played.signals(i).lost for i in range(3)] == [0, 0, 0]
+    assert [played.signals(i).late for i in range(3)] == [0, 0, 0]
 
 
 def test_a_wave_beyond_the_bandwidth_is_put_together(played: Play) -> None:
@@ -86,6 +88,30 @@ def changed(folder: Path, old: str, new: str) -> Path:
         ("duration_s: 2.0", "duration_s: soon", "duration_s", "valid number"),
         ("every: 7", "evry: 7", "devices.sensor.readings.1.evry", "no such key"),
         ("start_us: 0, end", "end", "tracks.sweep.ramps.0", "the first ramp needs start_us"),
+        ("on_us: 1500", "on_us: 20011", "tracks.fire.stream.on_us", "is not below every_us, 20011"),
+        (
+            "{end_us: 20",
+            "{start_us: 2000001, end_us: 20",
+            "tracks.sweep.ramps.1.end_us",
+            "its star",
+        ),
+        ("{end_us: 2000000", "{end_us: 1100000000", "tracks.sweep.ramps.1.end_us", "1073741824 us"),
+        (
+            "start_us: 0, end",
+            "start_us: 9, end_us: 9, first: 0, last: 0}\n      - {start_us: 8, end",
+            "tracks.sweep.ramps.1.start_us",
+            "is before the start of the ramp before it, 9",
+        ),
+        ("open: {kind", "fire: {kind", "devices.sensor.nodes.fire", "is the name of a track"),
+        ("open: {kind", "state: {kind", "devices.sensor.nodes.state", "is the name of an input"),
+        ("  sweep:  ", "  position:  ", "tracks.position", "is the name of an input"),
+        ("amplitude: 1000", "amplitude: 1e12", "devices.sensor.sensor.amplitude", "50000"),
+        (
+            "{period_us: 493.827",
+            "{period_us: 0.5",
+            "devices.sensor.sensor.period_us",
+            "equal to 1",
+        ),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, old: str, new: str, key: str, text: str) -> None:
@@ -103,6 +129,92 @@ def test_the_command_ends_with_2_for_a_mistake(
     assert main(["play", str(changed(tmp_path, "a: sweep", "a: swep"))]) == 2
     assert "there is no 'swep'" in capsys.readouterr().err
     assert main(["play", str(tmp_path / "none.yaml")]) == 2
+
+
+STAGE = """\
+name: small
+duration_s: 0.4
+wire: {delay_us: 1000, jitter_us: 300, loss: 0}
+sync: {to_device_least_us: 700, to_host_least_us: 700, limit_us: 500}
+tracks:
+  fire: {stream: {start_us: 100000, every_us: EVERY, on_us: ON, times: TIMES}}
+  other: {stream: {start_us: 100030, every_us: EVERY, on_us: ON, times: TIMES}}
+devices:
+  one:
+    digital: [fire, fire, other, other]
+    readings: [{kind: interval, read: state, every: 5, fold_us: 1000}]
+"""
+
+
+def small(folder: Path, every_us: int, on_us: int, times: int) -> Path:
+    file = folder / "small.yaml"
+    text = STAGE.replace("EVERY", str(every_us)).replace("ON", str(on_us))
+    file.write_text(text.replace("TIMES", str(times)))
+    return file
+
+
+def test_a_stage_that_no_wire_can_bring_is_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["play", str(small(tmp_path, 100, 50, 900))]) == 4
+    done = capsys.readouterr()
+    assert "pieces came to one after their start" in done.err
+    assert "late" in done.out and "refused" in done.out
+
+
+def test_all_that_changes_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of four outputs, more than a board remembers. What does not change has no wave: null."""
+    assert main(["play", str(small(tmp_path, 2500, 90, 60)), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert [row["times"] for row in figures["outputs"]] == [60] * 4
+    assert all(abs(row["off_us"]) <= 60 for row in figures["outputs"])
+    assert figures["readings"][0]["left_over"] is None
+    [device] = figures["devices"]
+    assert device == {"device": "one", "logic": "good", "settled": True, "refused": 0, "late": 0,
+                      "readings_lost": 0}  # fmt: skip
+
+
+def test_what_is_told_of_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from headway.cli import play
+
+    good = {"device": "one", "logic": "good", "settled": True, "refused": 0, "late": 0}
+    assert play._trouble([good]) == ""
+    for key, value, text in (
+        ("logic", "node a reads itself", "one has refused its logic: node a reads itself"),
+        ("refused", 1, "one has not taken all of its tracks"),
+        ("settled", False, "one has not taken all of its tracks"),
+        ("late", 7, "7 pieces came to one after their start"),
+    ):
+        assert text in play._trouble([good, good | {key: value}])
+
+
+def test_a_short_interval_loses_no_reading_on_a_good_wire(tmp_path: Path) -> None:
+    file = tmp_path / "often.yaml"
+    text = STAGE.replace("EVERY", "20000").replace("ON", "900").replace("TIMES", "3")
+    text = text.replace("every: 5", "every: 1").replace(
+        "name: small", "servo_period_us: 100\nname: small"
+    )
+    file.write_text(text)
+    played = Play(load_stage(file))
+    played.run()
+    told = played.readings(0, 0)
+    assert len(told) > 8000 and np.diff(told[:, 0]).max() <= 102
+    assert played.signals(0).lost == 0
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_other_commands_name_this_one(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, str(STROBE)]) == 2
+    done = capsys.readouterr()
+    said = f"is a stage, without a machine: try headway play {STROBE}"
+    assert said in (done.out if command == "check" else done.err)
+
+
+def test_what_a_node_of_one_input_does_not_read_is_no_cycle() -> None:
+    node = Node(kind="compare", a="error", b="itself")
+    assert order({"itself": node}) == ["itself"]
 
 
 def test_nodes_are_sorted() -> None:

@@ -6,6 +6,7 @@ from fractions import Fraction
 from test_vectors import INT32_MAX, TIME_MAX, VECTORS, Vector, read
 
 PIECES, READINGS, NODES, TRIGGERS, BATCH, REPORTED = 32, 128, 16, 4, 64, 48
+PATIENCE = 4
 LONGEST_US = 1 << 30
 NODE = 32
 
@@ -48,13 +49,11 @@ class Track:
         before = self.lines[-1][0] if self.lines else start_us
         if not 0 <= end_us - start_us <= LONGEST_US or start_us < before:
             return "order"
-        if start_us < now_us:
-            return "late"
         if len(self.lines) >= PIECES and self.lines[-PIECES + 1][0] > now_us:
             return "full"
         value = Fraction(first) if first is not None else Fraction(round(self.at(start_us)))
         self.lines.append((start_us, end_us, value, v.number("to")))
-        return "taken"
+        return "late" if start_us < now_us else "taken"
 
 
 def test_pieces() -> None:
@@ -144,30 +143,41 @@ def test_graphs() -> None:
 
 def test_readings() -> None:
     kept: list[tuple[int, int, int]] = []
-    first = lost = 0
-    most = 0
+    first = told = tellings = overwritten = again = 0
     for v in read(VECTORS / "readings.txt"):
         if v.word == "readings":
-            kept, first, lost = [], v.number("taken"), 0
+            kept, first, tellings = [], v.number("taken"), 0
+            told = first
+            continue
+        if v.word == "readings-tell":
+            left, ahead = len(kept), (told - first) % (1 << 32)  # of those that were told
+            tellings += 0 < ahead <= left
+            if ahead > left or tellings > PATIENCE:  # overwritten before, or without an answer
+                again += ahead <= left
+                ahead = tellings = 0
+            count = min(left - ahead, v.number("most"))
+            assert v.answer == f"first={(first + ahead) % (1 << 32)} count={count}", v
+            told = (first + ahead + count) % (1 << 32)
             continue
         if v.word == "readings-push":
             for i in range(v.number("times")):
                 kept.append((v.number("time_us") + i, v.number("value") + i, v.number("trigger")))
         else:
             count = (v.number("number") - first) % (1 << 32)
-            if count <= len(kept):
+            if 0 < count <= len(kept):
+                tellings = 0
                 kept, first = kept[count:], (first + count) % (1 << 32)
         gone = max(0, len(kept) - READINGS)
-        kept, first, lost = kept[gone:], (first + gone) % (1 << 32), lost + gone
-        most = max(most, lost)
+        kept, first = kept[gone:], (first + gone) % (1 << 32)
+        overwritten += gone
         got = dict(part.split("=") for part in v.answer.split())
-        assert int(got["kept"]) == first and int(got["lost"]) == lost, v
+        assert int(got["kept"]) == first, v
         assert int(got["taken"]) == (first + len(kept)) % (1 << 32), v
         if kept:
             assert int(got["first_us"]) == kept[0][0], v
-            told = int(got["last_us"]), int(got["value"]), int(got["trigger"])
-            assert told == kept[-1], v
-    assert most > 4
+            last = int(got["last_us"]), int(got["value"]), int(got["trigger"])
+            assert last == kept[-1], v
+    assert overwritten > 4 and again > 4
 
 
 # ---- payloads
@@ -357,7 +367,7 @@ def write_report(v: Vector) -> bytes:
     out = v.number("logic").to_bytes(4, "little")
     out += bytes([v.number("result"), v.number("wrong")])
     out += b"".join(n.to_bytes(4, "little") for n in v.numbers("next"))
-    out += b"".join(v.number(n).to_bytes(4, "little") for n in ("refused", "lost", "first"))
+    out += b"".join(v.number(n).to_bytes(4, "little") for n in ("refused", "late", "kept", "first"))
     out += bytes([len(told) // 3])
     base = v.number("base_us") if told else 0
     times = [base + n for n in told[1::3]]
@@ -373,7 +383,7 @@ def read_report(payload: bytes) -> str:
     r = Reader(payload)
     said = f"logic={r.number(4)} result={r.number(1)} wrong={r.number(1)}"
     said += "".join(f" next={r.number(4)}" for _ in range(11))
-    said += f" refused={r.number(4)} lost={r.number(4)} first={r.number(4)}"
+    said += f" refused={r.number(4)} late={r.number(4)} kept={r.number(4)} first={r.number(4)}"
     count = r.number(1)
     check(count <= REPORTED)
     time, value = r.number(8, signed=True), 0

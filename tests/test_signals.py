@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rig import KEY, PERIOD_US, device_settings
 
 from headway.configs.schema import Channel
-from headway.devices.signals import Logic, Piece, event
+from headway.devices.signals import Logic, Piece, Signals, event
 from headway.firmware import _core
 from headway.sim.boards import Boards, Crystal, Host
 from headway.sim.network import Wire
@@ -84,11 +84,10 @@ def test_what_is_left_out_goes_on() -> None:
 def test_pieces_come_once_in_order_and_in_time() -> None:
     pieces = _core.Pieces()
     assert pieces.take(1, (10, 10, 1, 1), 0) == "gap"
-    assert pieces.take(0, (10, 10, 1, 1), 11) == "late"
     assert pieces.take(0, (10, 10, 1, 1), 10) == "taken"
     assert pieces.take(0, (99, 99, 9, 9), 10) == "taken"  # again: the first one holds
     assert pieces.at(99) == 1
-    assert pieces.take(1, (9, 9, 1, 1), 0) == "order"
+    assert pieces.take(1, (9, 9, 1, 1), 99) == "order"
     assert pieces.take(1, (20, 19, 1, 1), 0) == "order"
     assert pieces.take(1, (20, 21 + 2**30, 1, 1), 0) == "order"
     for number in range(1, _core.PIECES):
@@ -96,6 +95,28 @@ def test_pieces_come_once_in_order_and_in_time() -> None:
     assert pieces.take(_core.PIECES, (100, 100, 0, 0), 20) == "full"  # the second has not begun
     assert pieces.take(_core.PIECES, (100, 100, 0, 0), 21) == "taken"
     assert pieces.next == _core.PIECES + 1
+
+
+def test_a_late_piece_is_taken_so_that_its_track_goes_on() -> None:
+    pieces = _core.Pieces()
+    assert pieces.take(0, (10, 20, 0, 100), 15) == "late"
+    assert [pieces.at(t) for t in (9, 15, 20)] == [0, 50, 100]
+    assert pieces.take(1, (30, 30, 7, 7), 40) == "late"
+    assert pieces.take(2, (50, 50, 8, 8), 40) == "taken"
+    assert [pieces.at(t) for t in (29, 30, 49, 50)] == [100, 7, 7, 8]
+
+
+@given(tracks(), st.data())
+def test_a_track_has_its_values_also_after_a_clock_that_stepped_back(
+    lines: list[Line], data: st.DataObject
+) -> None:
+    pieces = _core.Pieces()
+    for number, line in enumerate(lines):
+        pieces.take(number, line, lines[0][0])
+    for _ in range(10):
+        time_us = data.draw(st.integers(lines[0][0] - 5, lines[-1][1] + 5))
+        assert pieces.now(time_us) == pieces.at(time_us)
+        assert abs(pieces.at(time_us) - exactly(lines, time_us)) < 2
 
 
 # ---- logic
@@ -134,11 +155,104 @@ def test_nodes_of_one_value(values: list[int]) -> None:
         (Logic(triggers=[(INTERVAL, 0, 99, 0)]), "reading 0 has its low above its high, or no"),
         (Logic(triggers=[(ON_EDGE, 0, 99, 0)]), "reading 0 reads something that is not there"),
         (Logic(triggers=[(5, 0, 0, 1)]), "reading 0 is of a kind that there is not"),
+        (Logic([(ADD, 0, 0, 0, 2**40)], names=["sum"]), "node sum has 1099511627776, which is not"),
+        (Logic([(ADD, 0, -1, 0, 0)]), "node 0 has -1, which is not from 0 to 255"),
+        (Logic(pwm=[300]), "output 4 has 300, which is not from 0 to 255"),
+        (Logic(triggers=[(INTERVAL, 0, 0, 70_000)]), "reading 0 has 70000, which is not from 0"),
+        (Logic(digital=[TRACK] * 5), "5 digital outputs: a device has 4"),
+        (Logic([(ADD, 0, 0, 0, 0)] * 17), "17 nodes: a device has 16"),
     ],
 )
 def test_what_is_wrong_is_named(logic: Logic, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         logic.check()
+
+
+@pytest.mark.parametrize(
+    ("track", "written", "message"),
+    [
+        (3, [event(0, 1)], "there is no track 3 of pieces: give one of 5 to 15"),
+        (TRACK, [event(0, 2**31)], "track 5, piece 0 has 2147483648, which is not from"),
+        (TRACK, [event(0, 1), event(2**60, 1)], "track 5, piece 1 has 1152921504606846976, which"),
+        (TRACK, [event(9, 1), event(8, 1)], "piece 1 starts at 8, before the piece before it, 9"),
+        (TRACK, [Piece(8, 1, 9, 1)], "piece 0 takes -1 us, which is not from 0 to 1073741824"),
+        (TRACK, [Piece(2**30 + 1, 1, 0, 1)], "piece 0 takes 1073741825 us"),
+        (TRACK, [Piece(8, 1, None, 1)], "piece 0 is the first one: give it a start and a first"),
+    ],
+)
+def test_what_a_device_would_refuse_is_not_written(
+    track: int, written: list[Piece], message: str
+) -> None:
+    signals = Signals()
+    with pytest.raises(ValueError, match=message):
+        signals.write(track, written)
+    assert signals.settled  # nothing of it is to be sent
+    signals.write(TRACK, [event(5, 1)])
+    with pytest.raises(ValueError, match="piece 1 starts at 4"):
+        signals.write(TRACK, [event(4, 1)])
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**58), words, words), min_size=1, max_size=64))
+def test_whatever_is_written_fits_its_frames(ramps: list[tuple[int, int, int]]) -> None:
+    signals = Signals()
+    for track in range(TRACK, TRACK + 4):
+        signals.write(track, [Piece(t + 9, last, t, first) for t, first, last in sorted(ramps)])
+    assert signals.packets(lambda kind, payload: payload, -(2**59))
+    assert signals.packets(lambda kind, payload: payload, 2**59)
+
+
+class Told:
+    """A report, as a device tells it."""
+
+    def __init__(self, logic: int = 0, result: str = "good", wrong: int = 0, kept: int = 0,
+                 first: int = 0, count: int = 0) -> None:  # fmt: skip
+        self.logic, self.result, self.wrong = logic, result, wrong
+        self.kept, self.first = kept, first
+        self.readings = [(1000 * n, n, 0) for n in range(first, first + count)]
+        self.refused = self.late = 0
+        self.next = [0] * 11
+
+
+def test_a_logic_that_the_device_refuses_is_not_settled() -> None:
+    signals = Signals()
+    signals.rule(Logic([(ADD, 0, 0, 0, 0)], names=["sum"]))
+    assert not signals.settled
+    signals.note(Told(1, "cycle", 0))
+    assert not signals.settled and signals.refusal == "node sum reads itself, or a node after it"
+    assert not [1 for kind, _ in sealed(signals) if kind == _core.FRAME_LOGIC]  # it has answered
+    signals.rule(Logic())
+    assert signals.refusal is None and not signals.settled
+    signals.note(Told(1, "cycle", 0))  # of the one before
+    assert signals.refusal is None and not signals.settled
+    signals.note(Told(2))
+    assert signals.settled
+    signals.note(Told(1))  # whatever brought the old one back
+    assert not signals.settled
+    assert [1 for kind, _ in sealed(signals) if kind == _core.FRAME_LOGIC]
+
+
+def sealed(signals: Signals) -> list[tuple[int, bytes]]:
+    kinds: list[tuple[int, bytes]] = []
+    signals.packets(lambda kind, payload: kinds.append((kind, payload)) or b"", 0)
+    return kinds
+
+
+@given(st.data())
+def test_readings_are_those_that_were_told_and_the_rest_is_lost(data: st.DataObject) -> None:
+    """Reports are lost, doubled, out of step, and the device overwrites what it likes."""
+    signals, taken, kept, heard = Signals(), 0, 0, set[int]()
+    for _ in range(data.draw(st.integers(1, 20))):
+        taken += data.draw(st.integers(0, 60))
+        kept = max(kept, taken - _core.READINGS, signals._seen)
+        first = data.draw(st.integers(kept, taken))
+        count = data.draw(st.integers(0, min(48, taken - first)))
+        heard |= set(range(first, first + count))
+        signals.note(Told(kept=kept, first=first, count=count))
+        got = [value for _, value, _ in signals.readings]
+        before = [n for n in sorted(heard) if n < signals._seen]
+        assert got == before
+        assert signals.lost == signals._seen - len(before)
+        assert signals._seen >= kept and signals._seen not in heard
 
 
 # ---- on boards
@@ -304,3 +418,176 @@ def test_reports_and_batches_do_not_break_on_bytes() -> None:
         _core.batch_encode(0, 0, [(TRACK, 0, (0, 0, 0, 0))] * 65)
     with pytest.raises(ValueError, match="more nodes"):
         _core.logic_encode(1, [(ADD, 0, 0, 0, 0)] * 17, [], [], [])
+
+
+# ---- what comes too late, and what was
+
+
+def test_a_piece_that_starts_before_the_next_period_changes_its_output() -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    boards.advance(2_600_000)
+    for number in range(40):
+        on = number % 2 == 0
+        boards.advance(boards.now_us + 10_137)
+        host_us = boards.now_us + EPOCH_US
+        signals.write(TRACK, [event(host_us + 300, int(on))])
+        batch = signals.packets(boards.hosts[0].remote._session.seal, host_us)[-1]
+        node.deliver(boards.now_us, batch)  # over no wire: at once
+        boards.advance(boards.now_us + 20_000)
+        assert shown(node, boards.now_us)[0] is on, number
+        late_us = node.flips[-1][0] + 20_000 - boards.now_us - 300
+        assert -100 <= late_us <= PERIOD_US + 250  # as the clock has it; polls are that far apart
+    assert signals.settled and signals.refused == 0
+
+
+def shown(node, now_us: int) -> list[bool]:  # type: ignore[no-untyped-def]
+    """What its digital outputs are at a time."""
+    outputs = [False] * 4
+    for time_us, output, on in node.flips:
+        if time_us <= now_us:
+            outputs[output] = on
+    return outputs
+
+
+def test_an_outage_delays_a_track_and_does_not_end_it() -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    times = [EPOCH_US + 2_600_000 + 20_000 * i for i in range(150)]
+    signals.write(TRACK, [e for t in times for e in (event(t, 1), event(t + 5000, 0))])
+    boards.advance(3_000_000)
+    boards.cut_hosts(True)
+    boards.advance(3_500_000)
+    assert not shown(node, boards.now_us)[0]
+    boards.cut_hosts(False)
+    boards.advance(5_290_000)  # a second of which the clock takes to settle again
+    fired = [t for t in rising(boards, 0) if t > EPOCH_US + 4_790_000]
+    wanted = [t for t in times if EPOCH_US + 4_790_000 < t < EPOCH_US + 5_290_000]
+    assert np.abs(np.array(fired) - wanted).max() <= 200
+    boards.advance(5_700_000)
+    assert signals.settled and signals.refused == 0
+    assert 5 < signals.late < 60  # those of the outage that were not sent ahead, each once
+    assert not shown(node, boards.now_us)[0]
+
+
+def test_outputs_are_off_in_a_new_session() -> None:
+    boards = stage(boards=1)
+    node, remote = boards.nodes[0], boards.hosts[0].remote
+    for digital in ([], [TRACK]):
+        remote.signals = Signals()
+        remote.signals.rule(Logic(digital=digital, pwm=[TRACK]))
+        remote.signals.write(TRACK, [event(boards.now_us + EPOCH_US + 100_000, 20_000)])
+        boards.advance(boards.now_us + 200_000)
+        assert node.pwm_q15 == [20_000, 0] and shown(node, boards.now_us)[0] is bool(digital)
+        remote.signals = Signals()
+        remote._session.renew()
+        boards.advance(boards.now_us + 2_000_000)
+        assert remote.established and node.synced
+        assert node.pwm_q15 == [0, 0] and not any(shown(node, boards.now_us))
+
+
+def test_an_output_is_off_whose_track_has_not_begun() -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    signals.write(TRACK, [event(EPOCH_US + 2_600_000, 1)])
+    boards.advance(2_700_000)
+    assert shown(node, boards.now_us)[0]
+    signals.rule(Logic(digital=[TRACK + 1]))
+    signals.write(TRACK + 1, [event(EPOCH_US + 3_000_000, 1)])
+    boards.advance(2_900_000)
+    assert signals.settled and not shown(node, boards.now_us)[0]
+    boards.advance(3_100_000)
+    assert shown(node, boards.now_us)[0]
+
+
+def test_a_logic_that_was_overtaken_does_not_come_back() -> None:
+    boards = stage(boards=1)
+    node, remote = boards.nodes[0], boards.hosts[0].remote
+    remote.signals.rule(Logic(digital=[TRACK]))
+    boards.advance(2_600_000)
+    old = remote._session.seal(_core.FRAME_LOGIC, _core.logic_encode(1, [], [TRACK], [], []))
+    remote.signals.rule(Logic(digital=[TRACK + 1]))
+    boards.advance(2_700_000)
+    assert remote.signals.settled
+    told = []
+    note = remote.signals.note
+    remote.signals.note = lambda report: (told.append(report.logic), note(report))  # type: ignore
+    node.deliver(boards.now_us, old)
+    boards.advance(2_900_000)
+    assert set(told) == {2} and len(told) > 40
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_late_servo_is_no_late_output(back: bool) -> None:
+    """The main loop hangs for four periods: the board has been told. What a fault or another logic
+    ends is not told any longer."""
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    at_us = EPOCH_US + 2_700_000
+    signals.write(TRACK, [event(at_us, 1), event(at_us + 200, 0)])
+    boards.advance(2_700_000 - 3 * PERIOD_US)
+    if back:
+        node.stop_line = True
+        boards.advance(boards.now_us + PERIOD_US + 300)
+    node.hung = True
+    boards.advance(2_700_000 + PERIOD_US // 2)
+    node.hung = False
+    boards.advance(2_800_000)
+    flips = [(t + EPOCH_US - at_us, on) for t, _, on in node.flips]
+    if back:
+        assert not any(on for _, on in flips)
+    else:
+        assert [on for _, on in flips] == [True, False]
+        assert abs(flips[0][0]) < 100 and abs(flips[1][0] - flips[0][0] - 200) <= 1
+
+
+@pytest.mark.parametrize("digital", [[], [TRACK + 1], [POSITION]])
+def test_another_logic_takes_back_what_was_told_ahead(digital: list[int]) -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    signals.rule(Logic(digital=[TRACK]))
+    signals.write(TRACK, [event(EPOCH_US + 2_700_000, 1), event(EPOCH_US + 2_700_100, 0)])
+    boards.advance(2_600_000)
+    while not node.flips:  # until it is told, five periods ahead
+        boards.advance(boards.now_us + PERIOD_US // 4)
+    assert boards.now_us < 2_700_000 - 3 * PERIOD_US
+    signals.rule(Logic(digital=digital))
+    seal = boards.hosts[0].remote._session.seal
+    for packet in signals.packets(seal, boards.now_us + EPOCH_US):
+        node.deliver(boards.now_us, packet)
+    boards.advance(2_800_000)
+    assert not any(on for _, _, on in node.flips)
+
+
+def test_what_is_true_when_logic_comes_is_no_edge() -> None:
+    boards = stage(boards=1)
+    node, signals = boards.nodes[0], boards.hosts[0].remote.signals
+    node.digital_in = 1
+    boards.advance(2_600_000)
+    edges = [(ON_EDGE, STATE, DIGITAL, 0), (ON_EDGE, STATE, NODE, 0)]
+    signals.rule(Logic([(EDGE, DIGITAL, 0, 0, 0)], triggers=edges))
+    boards.advance(2_700_000)
+    assert signals.settled and not signals.readings
+    node.digital_in = 0
+    boards.advance(2_720_000)
+    node.digital_in = 1
+    boards.advance(2_800_000)
+    assert sorted(trigger for _, _, trigger in signals.readings) == [0, 1]
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_on_a_good_wire_no_reading_is_lost(loss: float) -> None:
+    """More of them than a report holds are on their way, and all are here, once, in order."""
+    boards = stage(loss, boards=1)
+    signals = boards.hosts[0].remote.signals
+    every = [(INTERVAL, STATE, 0, 1)] * 4 if not loss else [(INTERVAL, STATE, 0, 2)]
+    signals.rule(Logic(triggers=every))
+    boards.advance(3_500_000)
+    assert signals.lost == 0
+    assert len(signals.readings) > (3800 if not loss else 450)
+    steps = np.diff([t for t, _, trigger in signals.readings if trigger == 0])
+    assert np.abs(steps - (PERIOD_US if not loss else 2 * PERIOD_US)).max() <= 2

@@ -54,7 +54,24 @@ def play(
         print(json.dumps(figures, indent=2))
     else:
         _show(figures)
+    if trouble := _trouble(figures["devices"]):
+        raise Failure(ExitCode.DEVICE, f"{stage}: {trouble}")
     return ExitCode.DONE
+
+
+def _trouble(devices: list[dict[str, Any]]) -> str:
+    """Which devices did not do what they were asked for; empty if all did."""
+    found = []
+    for row in devices:
+        name = row["device"]
+        if row["logic"] != "good":
+            found.append(f"{name} has refused its logic: {row['logic']}")
+        if row["refused"] or not row["settled"]:
+            found.append(f"{name} has not taken all of its tracks")
+        if row["late"]:
+            text = f"{row['late']} pieces came to {name} after their start"
+            found.append(f"{text}: change its tracks less often, or have a better wire")
+    return "; ".join(found)
 
 
 def _figures(played: Play) -> dict[str, Any]:
@@ -62,12 +79,16 @@ def _figures(played: Play) -> dict[str, Any]:
 
     from headway.sim.stage import reconstruct
 
-    outputs, readings = [], []
+    outputs, readings, devices = [], [], []
     seen: dict[str, list[int]] = {}
     for i, (name, device) in enumerate(played.stage.devices.items()):
+        signals = played.signals(i)
+        row: dict[str, Any] = {"device": name, "logic": signals.refusal or "good"}
+        row |= {"settled": signals.settled, "refused": signals.refused, "late": signals.late}
+        devices.append(row | {"readings_lost": signals.lost})
         for output, track in enumerate(device.digital):
             fired = played.fired[i].get(output, [])
-            row: dict[str, Any] = {"device": name, "output": output, "follows": track}
+            row = {"device": name, "output": output, "follows": track}
             row["times"] = len(fired)
             stream = played.stage.tracks[track].stream if track in played.stage.tracks else None
             if stream is not None:
@@ -81,10 +102,10 @@ def _figures(played: Play) -> dict[str, Any]:
         for trigger, reading in enumerate(device.readings):
             told = played.readings(i, trigger)
             row = {"device": name, "reads": reading.read, "kind": reading.kind}
-            row |= {"times": len(told), "lost": played.lost(i)}
+            row["times"] = len(told)
             if reading.fold_us is not None and len(told) > 20:
                 left, amplitudes = reconstruct(told, reading.fold_us)
-                row["left_over"] = round(left, 4)
+                row["left_over"] = None if np.isnan(left) else round(left, 4)
                 row["amplitudes"] = [round(float(a), 1) for a in amplitudes]
             readings.append(row)
     return {
@@ -92,17 +113,20 @@ def _figures(played: Play) -> dict[str, Any]:
         "clocks_within_us": round(played.widest_us, 1),
         "outputs": outputs,
         "readings": readings,
+        "devices": devices,
     }
 
 
 def _show(figures: dict[str, Any]) -> None:
     console = Console()
-    for title, rows in (("outputs", figures["outputs"]), ("readings", figures["readings"])):
+    for title in ("outputs", "readings", "devices"):
+        rows = figures[title]
         if not rows:
             continue
         heads = list(dict.fromkeys(key for row in rows for key in row))
         table = Table(*heads, title=title, title_justify="left")
         for row in rows:
-            table.add_row(*(str(row.get(key, "")) for key in heads))
+            cells = (row.get(key) for key in heads)
+            table.add_row(*("" if cell is None else str(cell) for cell in cells))
         console.print(table)
     console.print(f"{figures['name']}: clocks were within {figures['clocks_within_us']} us")

@@ -140,6 +140,27 @@ def readings(rng: Random) -> Iterator[str]:
                 if rng.random() < 0.5:
                     yield line("readings-seen", number=(taken - behind) % (1 << 32))
         yield line("readings-seen", number=taken % (1 << 32))
+    yield from _told(rng)
+
+
+def _told(rng: Random) -> Iterator[str]:
+    """Told once, again without an answer, past what was overwritten; answers that come or not."""
+    for begun in (0, (1 << 32) - 40):
+        yield line("readings", taken=begun)
+        yield line("readings-tell", most=48)
+        taken = seen = begun
+        for step in range(120):
+            times = rng.choice((0, 1, 5, 30, READINGS)) if step % 40 < 20 else 1
+            if times:
+                yield line(
+                    "readings-push", time_us=step << 20, value=step, trigger=step % 4, times=times
+                )
+            taken += times
+            for _ in range(rng.choice((0, 1, 1, 2))):
+                yield line("readings-tell", most=rng.choice((48, 48, 3)))
+            if rng.random() < (0.3, 0.9, 0.05)[step // 40]:
+                seen = rng.randrange(max(seen, taken - READINGS), taken + 1)
+                yield line("readings-seen", number=seen % (1 << 32))
 
 
 def _zigzag(value: int) -> bytes:
@@ -256,16 +277,16 @@ def reports(rng: Random) -> Iterator[str]:
                 for n in (rng.randrange(256), rng.choice(EDGES), rng.choice(EDGES))]  # fmt: skip
         given = {"logic": rng.randrange(1 << 32), "result": rng.randrange(5), "wrong": 200,
                  "next": [rng.randrange(1 << 31) for _ in range(11)], "refused": 3,
-                 "lost": rng.randrange(1 << 32), "first": rng.randrange(1 << 32),
-                 "readings": told, "base_us": base}  # fmt: skip
-        for capacity in (1000, 71, 70, 90, 0) if count else (1000, 71, 70, 0):
+                 "late": rng.randrange(1 << 32), "kept": rng.randrange(1 << 32),
+                 "first": rng.randrange(1 << 32), "readings": told, "base_us": base}  # fmt: skip
+        for capacity in (1000, 75, 74, 90, 0) if count else (1000, 75, 74, 0):
             yield line("report-encode", capacity=capacity, **given) if count else line(
                 "report-encode", capacity=capacity,
                 **{k: v for k, v in given.items() if k != "base_us"})  # fmt: skip
-    usual = {"logic": 1, "result": 0, "wrong": 0, "next": [0] * 11, "refused": 0, "lost": 0,
-             "first": 0, "readings": [1, 2, 3], "base_us": 0}  # fmt: skip
+    usual = {"logic": 1, "result": 0, "wrong": 0, "next": [0] * 11, "refused": 0, "late": 0,
+             "kept": 0, "first": 0, "readings": [1, 2, 3], "base_us": 0}  # fmt: skip
     yield line("report-encode", capacity=2000, count=49, **usual)
-    head = bytes(range(62))
+    head = bytes(range(66))
 
     def told(*values: int) -> bytes:
         return b"".join(

@@ -1,6 +1,7 @@
 // Fuzz target: signals of a hostile host. Its bytes are a script: logic of any nodes, batches of any
 // pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
-// outputs are off where nothing rules them, and what is told can be read.
+// outputs are off where nothing rules them and as their tracks have them else, and what is told can be
+// read.
 #include "node.h"
 #include "script.h"
 
@@ -98,7 +99,42 @@ static void take_raw(struct script *script, struct signals *signals, int64_t now
         report_decode(bytes, size, &report);
 }
 
-static void promise(const struct signals *signals) {
+// Whether a piece begins so near that the board's counter may have it on the other side.
+static bool begins_near(const struct pieces *track, int64_t time_us) {
+    for (uint32_t number = track->next > PIECES ? track->next - PIECES : 0; number < track->next;
+         number++)
+        if (llabs(track->ring[number % PIECES].start_us - time_us) < 20)
+            return true;
+    return false;
+}
+
+// What the pin shows: the last change that was told, of those that are not to come.
+static int32_t shown(const struct board *board, int32_t output) {
+    for (uint32_t i = board->flips; i > 0 && board->flips - i < BOARD_FLIPS; i--) {
+        const struct flip *flip = &board->flip[(i - 1) % BOARD_FLIPS];
+        if (flip->output == output && flip->time_us <= board->true_us)
+            return flip->on;
+    }
+    return board->flips < BOARD_FLIPS ? 0 : -1; // -1: it is no longer known
+}
+
+static void promise_outputs(const struct signals *signals, const struct board *board,
+                            int64_t time_us) {
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++) {
+        uint8_t source = signals->logic.digital[i];
+        int32_t on = shown(board, i), wanted = 0;
+        if (source < SOURCE_OF_PIECES || source >= SOURCE_OF_INPUTS || on < 0)
+            continue;
+        const struct pieces *track = &signals->tracks[source - SOURCE_OF_PIECES];
+        for (uint32_t number = track->next > PIECES ? track->next - PIECES : 0;
+             number < track->next; number++)
+            if (track->ring[number % PIECES].start_us <= time_us)
+                wanted = track->ring[number % PIECES].to != 0;
+        PROMISE(on == wanted || begins_near(track, time_us));
+    }
+}
+
+static void promise(struct signals *signals) {
     static struct report report, again;
     uint8_t payload[1000];
     signals_report(signals, &report);
@@ -110,6 +146,7 @@ static void promise(const struct signals *signals) {
                 report.readings[i].value == again.readings[i].value);
     PROMISE(report_encode(&report, payload, size - 1) == -1);
     PROMISE(signals->readings.taken - signals->readings.kept <= READINGS);
+    PROMISE(signals->readings.told - signals->readings.kept <= READINGS);
     for (int32_t i = 0; i < signals->graph.count; i++)
         PROMISE(signals->graph.nodes[i].a < SOURCE_OF_NODES + i);
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
@@ -143,13 +180,16 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                 signals.values[i] = next_word(&script);
             signals.values[INPUT_STATE] = next_word(&script);
             for (int32_t periods = next(&script) % 32; periods >= 0; periods--) {
-                clock.system_us += 1000;
-                clock.count_us += 1000;
-                board_advance(&board, board.true_us + 1000);
+                int64_t since_us = 1000 + (what == 10 ? 16 * next(&script) : 0); // a late period
+                clock.system_us += since_us;
+                clock.count_us += (uint32_t)since_us;
+                board_advance(&board, board.true_us + since_us);
                 signals_step(&signals, &board, &clock, 1000, what != 9);
                 for (int32_t i = 0; i < REPORT_TRACKS; i++)
                     PROMISE(signals.values[SOURCE_OF_PIECES + i] ==
                             pieces_at(&signals.tracks[i], clock.system_us));
+                if (signals.ruled && what != 9)
+                    promise_outputs(&signals, &board, clock.system_us);
                 PROMISE((signals.ruled && what != 9) || (signals.on == 0 && board.pwm_q15[0] == 0));
             }
         }

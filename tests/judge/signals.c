@@ -69,13 +69,12 @@ static void replay_graph_step(void) {
 // Nothing taken yet, or so many readings ago.
 static void replay_readings(void) {
     memset(&readings, 0, sizeof readings);
-    readings.taken = readings.kept = (uint32_t)given("taken");
+    readings.taken = readings.kept = readings.told = (uint32_t)given("taken");
 }
 
 static void say_readings(void) {
     say_number("taken", readings.taken);
     say_number("kept", readings.kept);
-    say_number("lost", readings.lost);
     const struct reading *first = &readings.ring[readings.kept % READINGS];
     const struct reading *last = &readings.ring[(readings.taken - 1) % READINGS];
     say_number("first_us", first->time_us);
@@ -95,6 +94,12 @@ static void replay_readings_push(void) {
 static void replay_readings_seen(void) {
     readings_seen(&readings, (uint32_t)given("number"));
     say_readings();
+}
+
+static void replay_readings_tell(void) {
+    uint32_t count;
+    say_number("first", readings_tell(&readings, (uint32_t)given("most"), &count));
+    say_number("count", count);
 }
 
 static struct batch batch; // built up
@@ -210,7 +215,8 @@ static struct report given_report(void) {
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
         report.next[i] = (uint32_t)numbers[i];
     report.refused = (uint32_t)given("refused");
-    report.lost = (uint32_t)given("lost");
+    report.late = (uint32_t)given("late");
+    report.kept = (uint32_t)given("kept");
     report.first = (uint32_t)given("first");
     report.count = (uint8_t)(given_list("readings", numbers, 3 * REPORT_READINGS) / 3);
     for (int32_t i = 0; i < report.count; i++) // trigger, time since the base, value
@@ -243,7 +249,8 @@ static void replay_report_decode(void) {
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
         say_number("next", report.next[i]);
     say_number("refused", report.refused);
-    say_number("lost", report.lost);
+    say_number("late", report.late);
+    say_number("kept", report.kept);
     say_number("first", report.first);
     for (int32_t i = 0; i < report.count; i++) {
         say_number("trigger", report.readings[i].trigger);
@@ -262,6 +269,7 @@ const struct word signal_words[] = {
     {"readings", replay_readings},
     {"readings-push", replay_readings_push},
     {"readings-seen", replay_readings_seen},
+    {"readings-tell", replay_readings_tell},
     {"batch", replay_batch},
     {"batch-piece", replay_batch_piece},
     {"batch-encode", replay_batch_encode},
