@@ -41,6 +41,7 @@ class Motion(NamedTuple):
         return self.rows[:, 2 * self.n :]
 
     def later(self, knots: int) -> Motion:
-        """The same motion from a later knot on; beyond its end it rests."""
-        begun = min(knots, len(self.rows) - 1)
-        return Motion(np.concatenate((self.rows[begun:], *[self.rows[-1:]] * begun)))
+        """The same motion from a later knot on, or from an earlier one where a clock has jumped:
+        before its beginning and beyond its end it rests."""
+        wanted = np.arange(knots, knots + len(self.rows))
+        return Motion(self.rows.take(wanted, axis=0, mode="clip"))

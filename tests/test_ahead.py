@@ -57,8 +57,9 @@ def test_the_reference_is_asked_once_in_many_ticks() -> None:
     assert cubic.asked == 10
 
 
-@pytest.mark.parametrize("knots", [0, 1, 5, 6, 7, 1000])
-def test_a_motion_later_on_rests_beyond_its_end(knots: int) -> None:
+@pytest.mark.parametrize("knots", [-1000, -7, -1, 0, 1, 5, 6, 7, 1000])
+def test_a_motion_later_on_rests_beyond_its_ends(knots: int) -> None:
     motion = Motion(np.arange(21.0).reshape(7, 3))
     rows = motion.rows.tolist()
-    assert motion.later(knots).rows.tolist() == (rows[knots:] + [rows[-1]] * 7)[:7]
+    whole = [rows[0]] * 1000 + rows + [rows[-1]] * 1000
+    assert motion.later(knots).rows.tolist() == whole[1000 + knots : 1007 + knots]
