@@ -15,16 +15,23 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scripts" / "fuzzing"
 SECONDS = 15  # a target
 HUNT_S = 60  # for a planted bug, at most
-# In a file of firmware/, what a target has to find: (file, code, wrong code).
-BUGS = {
-    "plans": ("gate.c", "if (d2 > limits->second_difference_max ||", "if ("),
-    "graphs": (
+# In a file of firmware/, what a target has to find: (target, file, code, wrong code).
+BUGS = (
+    ("plans", "gate.c", "if (d2 > limits->second_difference_max ||", "if ("),
+    (
+        "graphs",
         "graph.c",
         "return source >= SOURCE_OF_NODES + at ?",
         "return source > SOURCE_OF_NODES + at ?",
     ),
-    "bytes": ("cobs.c", "read + length - 1 > size", "read + length - 2 > size"),
-}
+    (
+        "graphs",
+        "signals.c",
+        "signals->told[output] = number;",
+        "signals->told[output] = number + 1;",
+    ),
+    ("bytes", "cobs.c", "read + length - 1 > size", "read + length - 2 > size"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +62,12 @@ def test_nothing_crashes_and_most_is_reached(
         assert sum(file.ran for file in found) > 0.9 * sum(file.all for file in found), found
 
 
-@pytest.mark.parametrize("target", BUGS)
+@pytest.mark.parametrize(("target", "name", "code", "wrong"), BUGS)
 def test_a_planted_bug_is_found(
-    fuzzing: dict[str, ModuleType], tmp_path: Path, target: str
+    fuzzing: dict[str, ModuleType], tmp_path: Path, target: str, name: str, code: str, wrong: str
 ) -> None:
-    for name in ("firmware", "sim", "tests/fuzz"):
-        shutil.copytree(ROOT / name, tmp_path / name)
-    name, code, wrong = BUGS[target]
+    for folder in ("firmware", "sim", "tests/fuzz"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
     file = tmp_path / "firmware" / name
     assert file.read_text().count(code) == 1
     file.write_text(file.read_text().replace(code, wrong))

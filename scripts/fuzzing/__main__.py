@@ -46,7 +46,10 @@ def fuzz(target: str, seconds: int, folder: Path) -> bool:
     print(f"{target}: {ran} inputs in {seconds} s, {'no' if done.returncode == 0 else 'a'} crash")
     if done.returncode != 0:
         print(done.stderr[-4000:])
-        print(f"to see it again: {program} {folder / target}-crash-...")
+        kinds = ("crash", "timeout", "oom", "leak")
+        inputs = [file for kind in kinds for file in folder.glob(f"{target}-{kind}-*")]
+        for file in sorted(inputs, key=lambda file: file.stat().st_mtime)[-1:]:
+            print(f"to see it again: {program} {file}")
     return done.returncode == 0
 
 

@@ -192,7 +192,8 @@ def batches(rng: Random) -> Iterator[str]:
     yield line("batch-encode", capacity=2000, count=65)
     for base, end, track in ((TIME_MAX + 1, 0, 5), (-TIME_MAX - 1, 0, 5), (0, 0, 4), (0, 0, 16),
                              (0, TIME_MAX + 1, 5), (0, -TIME_MAX - 1, 5), (0, TIME_MAX, 15),
-                             (0, -TIME_MAX, 5), (TIME_MAX, TIME_MAX, 5)):  # fmt: skip
+                             (0, -TIME_MAX, 5), (TIME_MAX, TIME_MAX, 5),
+                             (-TIME_MAX, (1 << 63) - 1, 5), (TIME_MAX, -(1 << 63), 5)):  # fmt: skip
         yield line("batch", base_us=base, seen=0)
         yield line("batch-piece", track=track, number=1, end_us=end, to=0)
         yield line("batch-encode", capacity=2000)

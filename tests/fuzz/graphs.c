@@ -81,6 +81,10 @@ static void take(struct script *script, struct signals *signals, int64_t now_us)
     PROMISE(size > 0 && batch_decode(payload, size, &again));
     PROMISE(batch_encode(&batch, payload, next(script)) <= 255);
     signals_take(signals, &again, now_us);
+    batch.base_us =
+        next(script) % 2 ? PIECE_TIME_MAX : -PIECE_TIME_MAX; // any time, which is refused
+    batch.pieces[0].piece.end_us = next_word(script) * (1LL << 32);
+    PROMISE(batch_encode(&batch, payload, sizeof payload) <= (int32_t)sizeof payload);
 }
 
 static void take_raw(struct script *script, struct signals *signals, int64_t now_us) {
@@ -171,6 +175,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
             take(&script, &signals, clock.system_us);
         } else if (what < 7) {
             take_raw(&script, &signals, clock.system_us);
+        } else if (what < 8 &&
+                   next(&script) % 2) { // the clock steps, which no output lives through
+            clock.system_us -= 64 * next(&script);
+            signals_step(&signals, &board, &clock, 1000, false);
         } else if (what < 8) {
             clock.rate_q32 = next_word(&script) % CLOCK_RATE_MAX_Q32;
         } else if (what < 9) {
@@ -190,6 +198,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                             pieces_at(&signals.tracks[i], clock.system_us));
                 if (signals.ruled && what != 9)
                     promise_outputs(&signals, &board, clock.system_us);
+                PROMISE(what != 9 || signals_idle(&signals) == !signals.used);
                 PROMISE((signals.ruled && what != 9) || (signals.on == 0 && board.pwm_q15[0] == 0));
             }
         }
