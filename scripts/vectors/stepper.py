@@ -60,6 +60,14 @@ def _rates(sign: int) -> Iterator[str]:
             yield _step(sign * window * (50 * STEP + extra))
         for _ in range(3):
             yield _step(sign * 3 * (50 * STEP + extra))
+    for steps in (2, 4, 8):  # the last one at the window's very end: it is the next one's
+        yield line("stepper", position_pq=-HALF)
+        yield _step(steps * STEP - HALF, US, 1024)
+        yield _step(steps * STEP - HALF, US, 1024)
+    window = 1024 * US  # and one in the last moment that is still its own, of several that wait
+    yield line("stepper", position_pq=0)
+    yield _step(sign * 10 * STEP, window, 1024)
+    yield _step(sign * 10 * STEP, window - window // 20 + window - 1, 1024)
     for way, back in ((HALF, 1), (HALF, HALF), (HALF + 3, 5), (STEP, STEP + 9), (8 * STEP, 8000)):
         for least in (3 * US, 999 * US, 1000 * US, 2500 * US):
             yield line("stepper", position_pq=0)
