@@ -454,7 +454,7 @@ PURE_NUMBERS = {
     "parameters", "sqp_iterations", "coupling",
     "seed", "gear", "counts_per_turn", "counts_per_m", "sample_every", "harmonic", "intervals",
     "max_iterations", "fade_start", "fade_end", "loss", "loss_run", "ports", "reorder",
-    "duplicate", "tail",
+    "duplicate", "tail", "steps_per_turn", "microsteps",
 }  # fmt: skip
 
 
