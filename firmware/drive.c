@@ -221,7 +221,7 @@ static void find_setpoint(struct device *device, struct board *board, const stru
                           enum source source, struct setpoint *setpoint) {
     if (source == SOURCE_TRACKS) {
         from_tracks(device, now, setpoint);
-        if (device->settings.servo.acceleration_tq.mantissa != 0)
+        if (device->settings.servo.acceleration_tq.mantissa)
             setpoint->torque_tq += accelerating(device, now);
         return;
     }

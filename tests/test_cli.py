@@ -86,7 +86,13 @@ SHAPE: dict[str, Any] = {
     "compute_split_us": {
         step: {"p50": float, "p99": float} for step in ("estimate", "prepare", "solve", "encode")
     },
-    "solver": {"ticks": int, "accepted": int, "rejected": int, "iterations_p50": float},
+    "solver": {
+        "ticks": int,
+        "accepted": int,
+        "rejected": int,
+        "refused_by_gate": {},
+        "iterations_p50": float,
+    },
     "frames": {"sent": int, "lost": int, "late_points": int, "gate_refused": int},
     "deadline_misses": int,
     "at_rest_after_end": bool,

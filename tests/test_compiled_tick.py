@@ -97,8 +97,8 @@ def test_what_one_program_said_is_not_said_of_the_next() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_other_threads_run_while_it_computes(backend: str) -> None:
-    """Ticks of a hundred programs: in one of them a thread that counts, and lets go each time, gets
-    to a hundred. Of Python's own code it would get in between once in 5 ms."""
+    """Ticks of a hundred programs, of some milliseconds: in one of them a thread that counts, and
+    lets go each time, gets to ten. Of Python's own code it would get in between once in 5 ms."""
     of = Still("arm2", backend, iterations=100)
     of.prepare()
     over, counted = threading.Event(), [0]
@@ -114,11 +114,11 @@ def test_other_threads_run_while_it_computes(backend: str) -> None:
         before = counted[0]
         of.program.tick.feedback()
         most = max(most, counted[0] - before)
-        if most > 100:
+        if most > 10:
             break
     over.set()
     thread.join()
-    assert most > 100
+    assert most > 10
 
 
 COUNTED = """

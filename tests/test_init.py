@@ -391,6 +391,7 @@ def test_a_config_from_init_is_complete() -> None:
     tree = YAML(typ="safe").load(Path("scara.yaml").read_text())
     scalars = {"enabled", "feedforward", "fade_start", "fade_end", "torque_share_end"}
     scalars |= {
+        "later",
         "max_iterations",
         "sqp_iterations",
         "disturbance",

@@ -83,7 +83,7 @@ def test_it_tracks_over_real_links_as_in_lockstep(tmp_path: Path) -> None:
     told = {}
     for name, run in runs.items():
         out, _ = run.communicate(timeout=PATIENCE_S)
-        assert run.returncode == 0, name
+        assert run.returncode == 0, (name, out)
         told[name] = json.loads((tmp_path / name / "summary.json").read_text())
         assert "at rest after the end: yes" in out or json.loads(out) == told[name]
     plant.terminate()

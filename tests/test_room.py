@@ -49,8 +49,8 @@ def test_a_reference_beyond_the_limits_is_followed_up_to_them(
     refused: list[str] = []
     passes = Loop._passes
 
-    def told(loop: Loop, points, rolled, commit_knot):  # type: ignore[no-untyped-def]
-        good = passes(loop, points, rolled, commit_knot)
+    def told(loop: Loop, now_us, points, rolled, commit_knot):  # type: ignore[no-untyped-def]
+        good = passes(loop, now_us, points, rolled, commit_knot)
         for remote, limits, plan in zip(loop._remotes, loop._limits, points, strict=True):
             for sink, on_track in plan.items():
                 at = commit_knot - 1

@@ -213,6 +213,8 @@ def _bounds() -> Iterator[str]:
     ):  # fmt: skip
         for value in values:
             yield valid(**{name: value})
+    for shift in (0, 1, 8, 9, 15, 16):
+        yield valid(knot_shift=shift, ahead_us=0)
     for ask_us in (0, 999, 10_000_000, 10_000_001):  # nobody is asked
         yield valid(neighbours=0, ask_us=ask_us)
     for name in (
