@@ -55,9 +55,9 @@ static bool stepper_valid(const struct device_settings *settings) {
         return true;
     return (settings->home.method == HOME_INDEX || settings->home.method == HOME_SWITCH) &&
            2 * period_us <= 1u << settings->knot_shift &&
-           (uint64_t)(uint32_t)limits->difference_max * least_q16 <=
+           (uint64_t)limits->difference_max * least_q16 <=
                step_q26 / 1024 * 1023 << settings->knot_shift && // a slewed clock runs faster
-           (uint64_t)(uint32_t)limits->second_difference_max * period_us * period_us <=
+           (uint64_t)limits->second_difference_max * period_us * period_us <=
                quarters << (2 * settings->knot_shift) &&
            (uint64_t)(uint32_t)settings->home.speed_q16 * least_q16 <= (step_q26 << 16) * period_us;
 }

@@ -448,16 +448,21 @@ def steps(b: Bench) -> None:
     b.hang(12)
     b.run(9, guard=1)
     b.expect("FAULT", "LATE")
+    points = [HERE] * 4
+    for speed in [*range(0, 6 << 15, 1 << 15), *[6 << 15] * 12, *range(6 << 15, 0, -(1 << 15))]:
+        points.append(points[-1] - speed)
+    points += [points[-1]] * 3
     for call in range(1, 5):
         b.scene(f"steps: the guard trips before output {call} of a period is set", IDLE)
         b.adjust(made)
         b.orders("ZERO", "DONE", "IDLE", 321)
-        b.orders("ARM", "DONE", "ARMED")
-        b.orders("JOG", "DONE", "ARMED", 2 * COUNT_PQ << 16)
-        b.go(9)
+        b.orders("ARM", "DONE", "ARMED", LOAD_TQ)
+        b.go(4)
+        b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: [0] * len(points)})
+        b.go(60)
         b.set(interrupt_at=call, interrupt_opens=1)
-        b.run(1)
-        b.run(6)
+        b.run(1, tell=1)
+        b.run(6, tell=1)
         assert b.braked and not b.powered
     b.scene("steps: a wire that jumps", IDLE)
     b.adjust(made)
