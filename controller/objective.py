@@ -165,7 +165,7 @@ def read_costs(
 
 
 def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
-    x = symbols.x
+    x, (values, *later) = symbols.x, symbols.values
     curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
     value = ca.SX(1, 1)
     for residual, weight in terms:
@@ -180,7 +180,8 @@ def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
     return Costs(
         named_function("costs", inputs, outputs),
         named_function("value", inputs, {"value": value}),
-        *(symbols.values[0], tuple(symbols.values[1:])),
+        values,
+        tuple(later),
     )
 
 
@@ -251,9 +252,10 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
         raise _wrong(source, line, words)
     rng, n = np.random.default_rng(0), symbols.q.numel()
+    every = symbols.values
     for trial in range(TRIALS):
         state = np.zeros(2 * n) if trial == 0 else rng.uniform(-np.pi, np.pi, 2 * n)
-        values = symbols.values[trial % len(symbols.values)]
+        values = every[trial % len(every)]
         found = function(state, rng.uniform(0, 10), rng.uniform(), values)
         if not all(np.isfinite(np.array(part)).all() for part in found):
             at = ", ".join(f"{value:.4g}" for value in state)
@@ -273,9 +275,10 @@ def _require_no_jump(
     most on such a way the half in which it does is halved again, until what does not jump would
     not have changed."""
     rng, size = np.random.default_rng(1), 2 * symbols.q.numel()
+    parameters = symbols.values[0]
 
     def at(state: Array, time_s: float, share: float) -> Array:
-        return np.array(function(state, time_s, share, symbols.values[0])[0])[:, 0]
+        return np.array(function(state, time_s, share, parameters)[0])[:, 0]
 
     for _ in range(WAYS):
         begin, end = rng.uniform(-np.pi, np.pi, (2, size))

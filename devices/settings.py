@@ -112,13 +112,14 @@ def step_least_q16(axis: StepperAxis, device: Device, loop: Loop) -> int:
     least_q16 = math.ceil(65536e6 / axis.stepper.rate)
     _fit(least_q16, f"the time between two steps by {axis.joint}: stepper.{key}", 2**32 - 1)
     rate = 65536e6 / least_q16
+    fastest = PLAN_RATE_SHARE * rate / axis.counts_per_unit
     if 2 * device.servo_period_us > loop.knot_us:
         raise ValueError(
             f"{axis.joint}: a stepper's board is a servo period ahead: device.servo_period_us is "
             f"at most half of loop.knot_us, {loop.knot_us // 2}"
         )
     for name, value, most in (
-        ("velocity_limit", axis.velocity_limit, PLAN_RATE_SHARE * rate / axis.counts_per_unit),
+        ("velocity_limit", axis.velocity_limit, fastest),
         ("acceleration_limit", axis.acceleration_limit, 2 / period_s**2 / axis.counts_per_unit),
     ):
         if value > most:
@@ -126,11 +127,10 @@ def step_least_q16(axis: StepperAxis, device: Device, loop: Loop) -> int:
                 f"{axis.joint}: {axis.key(name)} is {value:g}; with steps at {rate:g} a second and "
                 f"this servo period it can be {most:.6g} at most"
             )
-    most = PLAN_RATE_SHARE * rate / axis.counts_per_unit
-    if axis.homing.speed > most:
+    if axis.homing.speed > fastest:
         raise ValueError(
             f"{axis.joint}: homing.{axis.homing.key('speed')} is {axis.homing.speed:g}; with steps "
-            f"at {rate:g} a second it can be {most:.6g} at most"
+            f"at {rate:g} a second it can be {fastest:.6g} at most"
         )
     return least_q16
 

@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 from processes import ticks_in
+from slower import slower
 
 from headway.cli.main import main
 from headway.cli.progress import Bar
-from headway.configs.axis import DrivenAxis
 from headway.controller import loop, program
 from headway.controller._tick import Tick
 from headway.controller.record.channels import CHANNELS
 from headway.controller.record.reader import read_run
 from headway.devices import core
-from headway.devices.axis import AxisUnits
 from headway.sim.lockstep import Lockstep
 
 ARM2 = Path(__file__).resolve().parent.parent / "configs" / "arm2.yaml"
@@ -266,15 +265,7 @@ def test_what_the_gate_here_refuses_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With the axis, the track and the check, in the record, the summary and the table."""
-    whole = loop.position_limits
-
-    def slower(axis: DrivenAxis, units: AxisUnits) -> core.GateLimits:
-        own = whole(axis, units)
-        speed = own.difference_max // (10 if axis.joint == "q2" else 1)
-        rest = own.second_difference_max, own.stop_difference
-        return core.GateLimits(own.point_min, own.point_max, speed, *rest)
-
-    monkeypatch.setattr(loop, "position_limits", slower)
+    monkeypatch.setattr(loop, "position_limits", slower(10))
     assert main(["run", str(ARM2), "--duration", "1.5", "--json", "--out", "out"]) in (0, 3)
     solver = json.loads(capsys.readouterr().out)["solver"]
     arrays = read_run(Path("out")).arrays

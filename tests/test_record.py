@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 from mcap_protobuf.decoder import DecoderFactory
+from slower import slower
 
-from headway.configs.axis import DrivenAxis
 from headway.configs.load import load_config
 from headway.configs.save import save_config
 from headway.configs.schema import Config
@@ -35,26 +35,16 @@ from headway.controller.record.recorder import Memory, Recorder
 from headway.controller.record.recording import Recording
 from headway.controller.record.rows import rows
 from headway.controller.record.target import About, Target
-from headway.devices import core
-from headway.devices.axis import AxisUnits, position_limits
 from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 ABOUT = About("name: arm2 # at 25 °C\n", 7, {"headway": "0.1", "numpy": "2"})
 
 
-def slower(axis: DrivenAxis, units: AxisUnits) -> core.GateLimits:
-    """A gate that refuses what is fast of q2."""
-    own = position_limits(axis, units)
-    speed = own.difference_max // (5 if axis.joint == "q2" else 1)
-    rest = own.second_difference_max, own.stop_difference
-    return core.GateLimits(own.point_min, own.point_max, speed, *rest)
-
-
 def fussy(config: Config, recorder: Recorder | None = None) -> Lockstep:
-    """A run with that gate on the host's side."""
+    """A run whose own gate refuses what is fast of q2."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "position_limits", slower)
+        patch.setattr(loop, "position_limits", slower(5))
         lockstep = Lockstep(config, CONFIGS, recorder)
     lockstep.run()
     return lockstep

@@ -166,11 +166,9 @@ def _show(config: Config, measured: Measured, margin_us: int) -> None:
 
 def _require_possible(path: Path, changes: list[str], margin_us: int) -> None:
     """Raises Failure for a margin that the config may not have, before anything is written."""
-    from headway.configs.load import ConfigError, load_config
-
     try:
-        load_config(path, [*changes, f"loop.margin_us={margin_us}"])
-    except ConfigError as error:
+        changed_config(path, [*changes, f"loop.margin_us={margin_us}"])
+    except Failure as error:
         what = f"this computer and these links are too slow: {margin_us} us would be needed"
         raise Failure(ExitCode.LIMIT, f"{what}, and that is refused:\n{error}") from error
 

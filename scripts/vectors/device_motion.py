@@ -392,11 +392,19 @@ def steps(b: Bench) -> None:
         _core.GateLimits(limits.point_min, limits.point_max, rate, 1 << 15, limits.stop_difference),
     )
     made.home.method = INDEX
-    for ending in ("STOP", "line", "nothing", "torque"):
-        b.scene(f"steps: {ending}", IDLE)
+
+    def arm(what: str, *load_tq: int) -> None:
+        b.scene(f"steps: {what}", IDLE)
         b.adjust(made)
         b.orders("ZERO", "DONE", "IDLE", 321)
-        b.orders("ARM", "DONE", "ARMED", LOAD_TQ)
+        b.orders("ARM", "DONE", "ARMED", *load_tq)
+
+    def jog() -> None:
+        b.orders("JOG", "DONE", "ARMED", 2 * COUNT_PQ << 16)
+        b.go(9)
+
+    for ending in ("STOP", "line", "nothing", "torque"):
+        arm(ending, LOAD_TQ)
         b.go(4)
         speeds = [*range(0, 17 << 15, 1 << 15)]
         if ending == "torque":
@@ -438,12 +446,8 @@ def steps(b: Bench) -> None:
         b.go(9)
         b.hear()
         assert not b.status.homed and not b.powered
-    b.scene("steps: the main loop hangs: the guard brakes", IDLE)
-    b.adjust(made)
-    b.orders("ZERO", "DONE", "IDLE", 321)
-    b.orders("ARM", "DONE", "ARMED")
-    b.orders("JOG", "DONE", "ARMED", 2 * COUNT_PQ << 16)
-    b.go(9)
+    arm("the main loop hangs: the guard brakes")
+    jog()
     b.run(2, guard=1)
     b.hang(12)
     b.run(9, guard=1)
@@ -453,10 +457,7 @@ def steps(b: Bench) -> None:
         points.append(points[-1] - speed)
     points += [points[-1]] * 3
     for call in range(1, 5):
-        b.scene(f"steps: the guard trips before output {call} of a period is set", IDLE)
-        b.adjust(made)
-        b.orders("ZERO", "DONE", "IDLE", 321)
-        b.orders("ARM", "DONE", "ARMED", LOAD_TQ)
+        arm(f"the guard trips before output {call} of a period is set", LOAD_TQ)
         b.go(4)
         b.plans("accepted", b.knot + AHEAD, {POSITION: points, TORQUE: [0] * len(points)})
         b.go(60)
@@ -464,12 +465,8 @@ def steps(b: Bench) -> None:
         b.run(1, tell=1)
         b.run(6, tell=1)
         assert b.braked and not b.powered
-    b.scene("steps: a wire that jumps", IDLE)
-    b.adjust(made)
-    b.orders("ZERO", "DONE", "IDLE", 321)
-    b.orders("ARM", "DONE", "ARMED")
-    b.orders("JOG", "DONE", "ARMED", 2 * COUNT_PQ << 16)
-    b.go(9)
+    arm("a wire that jumps")
+    jog()
     b.set(position=12_345)
     b.go(9)
     assert b.braked
