@@ -42,6 +42,7 @@ class Osqp(Solver):
 class Stages:
     def __init__(
         self,
+        interval_s: float,
         driven: list[int],
         bounded: list[int],
         a: Array,

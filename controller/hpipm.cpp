@@ -6,6 +6,13 @@
 #include <cmath>
 #include <cstdint>
 
+// Of the cubic between two nodes the speed half-way, and h times the acceleration where it begins: so
+// many times 6 (q_{i+1} - q_i) / h, and these times v_i and v_{i+1}.
+static constexpr struct {
+    double lever, begins, ends;
+} BETWEEN[] = {{0.25, -0.25, -0.25}, {1, -4, -2}};
+static constexpr int KINDS = 2;
+
 // At rest within this: an equality has no interior, which the method needs.
 static constexpr double REST = 1e-5;
 
@@ -20,9 +27,9 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     for (int i = 0; i <= count; ++i) {
         d_ocp_qp_dim_set_nx(i, i ? 2 * n + w : 0, &dim_);
         d_ocp_qp_dim_set_nu(i, i == 0 ? 2 * w : i < count ? w : 0, &dim_);
-        d_ocp_qp_dim_set_nbx(i, i ? 2 * w : 0, &dim_); // speed and torque
-        d_ocp_qp_dim_set_nbu(i, i ? 0 : w, &dim_);     // u_0
-        d_ocp_qp_dim_set_ng(i, (i < count ? w : 0) + (i ? soft : 0), &dim_);
+        d_ocp_qp_dim_set_nbx(i, i < 1 ? 0 : i < count - 1 ? w : 2 * w, &dim_); // rest, torque
+        d_ocp_qp_dim_set_nbu(i, i ? 0 : w, &dim_);                             // u_0
+        d_ocp_qp_dim_set_ng(i, (i < count ? KINDS * w : 0) + (i ? soft : 0), &dim_);
         d_ocp_qp_dim_set_ns(i, i ? soft : 0, &dim_);
     }
     d_ocp_qp_create(&dim_, &qp_, block(d_ocp_qp_memsize(&dim_)));
@@ -38,7 +45,7 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     work_memory_ = block(d_ocp_qp_ipm_ws_memsize(&dim_, &arg_));
     d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, work_memory_);
     buffer_.resize((size_t)(9 * n * n));
-    offset_.resize((size_t)(w * count));
+    offset_.resize((size_t)(KINDS * w * count));
     set_constant();
 }
 
@@ -91,7 +98,7 @@ void Hpipm::set_constant() {
                     m[(2 * n + j) * nu + j] = -step[i * w + j];
                 d_ocp_qp_set_S(i, m, &qp_);
             }
-            d_ocp_qp_set_idxbx(i, boxes.data(), &qp_);
+            d_ocp_qp_set_idxbx(i, boxes.data() + (i < count - 1 ? w : 0), &qp_);
         } else {
             for (int j = 0; j < w; ++j) {
                 m[j * (nu + 1)] = torque[j] + step[j];
@@ -105,10 +112,9 @@ void Hpipm::set_constant() {
             d_ocp_qp_set_idxbu(0, first.data(), &qp_);
         }
         if (i && soft) { // the last rows of the general constraints
-            int changes = i < count ? w : 0;
             std::vector<int> softened;
             for (int j = 0; j < soft; ++j)
-                softened.push_back(2 * w + changes + j); // behind the boxes
+                softened.push_back(dim_.nbx[i] + dim_.ng[i] - soft + j); // behind the boxes
             d_ocp_qp_set_idxs(i, softened.data(), &qp_);
             std::vector<double> weight;
             for (int axis : p_.bounded)
@@ -123,11 +129,11 @@ bool Hpipm::update() {
     int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     const double *scale = p_.column_scale.data(), *torque = scale + 2 * n * (count + 1);
     const int *driven = p_.driven.data();
-    double *m = buffer_.data();
+    double *m = buffer_.data(), per_s = 6 / p_.interval_s;
     for (int i = 0; i < count; ++i) {
         const double *a = p_.a.data() + i * 4 * n * n;
         const double *b0 = p_.b0.data() + i * 2 * n * n, *b1 = p_.b1.data() + i * 2 * n * n;
-        int rows = 2 * n + w, ng = w + (i ? soft : 0);
+        int rows = 2 * n + w, ng = dim_.ng[i], between = KINDS * w;
         if (i) {
             std::fill_n(m, 9 * n * n, 0.0);
             for (int c = 0; c < 2 * n; ++c)
@@ -137,18 +143,25 @@ bool Hpipm::update() {
                 for (int r = 0; r < 2 * n; ++r)
                     m[(2 * n + c) * rows + r] = b0[driven[c] * 2 * n + r] * torque[c] / scale[r];
             d_ocp_qp_set_A(i, m, &qp_);
-            std::fill_n(m, 9 * n * n, 0.0); // C: change of speed, then what is soft
-            for (int r = 0; r < w; ++r) {
-                int v = n + driven[r];
-                for (int c = 0; c < 2 * n; ++c)
-                    m[c * ng + r] = (a[c * 2 * n + v] - (c == v)) * scale[c];
-                for (int c = 0; c < w; ++c)
-                    m[(2 * n + c) * ng + r] = b0[driven[c] * 2 * n + v] * torque[c];
+            std::fill_n(m, 9 * n * n, 0.0); // C: the cubic, then what is soft
+            for (int r = 0; r < between; ++r) {
+                auto [lever, begins, ends] = BETWEEN[r / w];
+                int q = driven[r % w], v = n + q;
+                lever *= per_s;
+                for (int c = 0; c < 2 * n; ++c) {
+                    double own = c == q ? -lever : c == v ? begins : 0;
+                    m[c * ng + r] =
+                        (own + lever * a[c * 2 * n + q] + ends * a[c * 2 * n + v]) * scale[c];
+                }
+                for (int c = 0; c < w; ++c) {
+                    const double *column = b0 + driven[c] * 2 * n;
+                    m[(2 * n + c) * ng + r] = (lever * column[q] + ends * column[v]) * torque[c];
+                }
             }
             for (int r = 0; r < soft; ++r) {
                 int axis = p_.bounded[(size_t)r];
-                m[axis * ng + w + r] = scale[axis];
-                m[(n + axis) * ng + w + r] = p_.approach_s.data()[axis] * scale[n + axis];
+                m[axis * ng + between + r] = scale[axis];
+                m[(n + axis) * ng + between + r] = p_.approach_s.data()[axis] * scale[n + axis];
             }
             d_ocp_qp_set_C(i, m, &qp_);
         }
@@ -165,11 +178,13 @@ bool Hpipm::update() {
         d_ocp_qp_set_B(i, m, &qp_);
         std::fill_n(m, 9 * n * n, 0.0); // D
         for (int c = 0; c < w; ++c)
-            for (int r = 0; r < w; ++r) {
-                int v = n + driven[r];
-                m[(first + c) * ng + r] = b1[driven[c] * 2 * n + v] * torque[c];
+            for (int r = 0; r < between; ++r) {
+                auto [lever, _, ends] = BETWEEN[r / w];
+                int q = driven[r % w], v = n + q;
+                const double *of0 = b0 + driven[c] * 2 * n, *of1 = b1 + driven[c] * 2 * n;
+                m[(first + c) * ng + r] = (lever * per_s * of1[q] + ends * of1[v]) * torque[c];
                 if (i == 0)
-                    m[c * ng + r] = b0[driven[c] * 2 * n + v] * torque[c];
+                    m[c * ng + r] = (lever * per_s * of0[q] + ends * of0[v]) * torque[c];
             }
         d_ocp_qp_set_D(i, m, &qp_);
     }
@@ -195,8 +210,8 @@ void Hpipm::set_vectors() {
     const double *low = p_.lower.data(), *up = p_.upper.data(), *rows = p_.row_scale.data();
     const double *gradient = p_.gradient.data(), *torques = gradient + x * (count + 1);
     int torque_row = x * (count + 1) + 2 * w, speed_row = torque_row + w * (count + 1);
-    int change_row = speed_row + w * count, soft_row = change_row + w * count;
-    double *m = buffer_.data(), *l = m + 3 * n, *u = m + 6 * n;
+    int soft_row = speed_row + KINDS * w * count;
+    double *m = buffer_.data(), *l = m + 3 * n, *u = m + 6 * n, per_s = 6 / p_.interval_s;
     for (int i = 0; i <= count; ++i) {
         if (i < count) { // b
             const double *a = p_.a.data() + i * x * x;
@@ -208,25 +223,28 @@ void Hpipm::set_vectors() {
             }
             std::fill_n(m + x, w, 0.0);
             d_ocp_qp_set_b(i, m, &qp_);
-            for (int r = 0; r < w; ++r) { // of the change of speed; dx_0 is known
-                int v = n + driven[r];
-                offset_[(size_t)(i * w + r)] = (m[v] - (i ? 0 : low[v])) * scale[v];
+            for (int r = 0; r < KINDS * w; ++r) { // of the cubic; dx_0 is known
+                auto [lever, begins, ends] = BETWEEN[r / w];
+                int q = driven[r % w], v = n + q;
+                double own = i ? 0 : begins * low[v] * scale[v] - lever * per_s * low[q] * scale[q];
+                offset_[(size_t)(i * KINDS * w + r)] =
+                    own + lever * per_s * m[q] * scale[q] + ends * m[v] * scale[v];
             }
         }
         if (i) {
             std::copy_n(gradient + i * x, x, m);
             std::copy_n(torques + i * w, w, m + x);
             d_ocp_qp_set_q(i, m, &qp_);
-            bool rests = i >= count - 1;
+            int rests = i < count - 1 ? 0 : w;
+            for (int r = 0; r < rests; ++r) {
+                int at = x * (count + 1) + (i - count + 1) * w + r;
+                double still = low[at] / rows[at], unit = scale[n + driven[r]]; // -v
+                l[r] = (still - REST) / unit;
+                u[r] = (still + REST) / unit;
+            }
             for (int r = 0; r < w; ++r) {
-                int at = speed_row + (i - 1) * w + r;
-                double still = low[x * (count + 1) + (i - count + 1) * w + r] /
-                               rows[x * (count + 1) + r]; // -v
-                double unit = scale[n + driven[r]];
-                l[r] = (rests ? still - REST : low[at]) / unit;
-                u[r] = (rests ? still + REST : up[at]) / unit;
-                l[w + r] = low[torque_row + i * w + r] / torque[r];
-                u[w + r] = up[torque_row + i * w + r] / torque[r];
+                l[rests + r] = low[torque_row + i * w + r] / torque[r];
+                u[rests + r] = up[torque_row + i * w + r] / torque[r];
             }
             d_ocp_qp_set_lbx(i, l, &qp_);
             d_ocp_qp_set_ubx(i, u, &qp_);
@@ -241,15 +259,17 @@ void Hpipm::set_vectors() {
             d_ocp_qp_set_lbu(0, l, &qp_);
             d_ocp_qp_set_ubu(0, u, &qp_);
         }
-        int changes = i < count ? w : 0;
-        for (int r = 0; r < changes; ++r) {
-            l[r] = low[change_row + i * w + r] - offset_[(size_t)(i * w + r)];
-            u[r] = up[change_row + i * w + r] - offset_[(size_t)(i * w + r)];
+        int between = i < count ? KINDS * w : 0;
+        for (int r = 0; r < between; ++r) {
+            int row = speed_row + (r / w * count + i) * w + r % w;
+            double own = offset_[(size_t)(i * KINDS * w + r)];
+            l[r] = low[row] / rows[row] - own;
+            u[r] = up[row] / rows[row] - own;
         }
         for (int r = 0; i && r < soft; ++r) {
             int above = soft_row + (i - 1) * soft + r, below = above + soft * count;
-            l[changes + r] = -up[below] / rows[below];
-            u[changes + r] = up[above] / rows[above];
+            l[between + r] = -up[below] / rows[below];
+            u[between + r] = up[above] / rows[above];
         }
         d_ocp_qp_set_lg(i, l, &qp_);
         d_ocp_qp_set_ug(i, u, &qp_);

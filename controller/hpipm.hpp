@@ -38,5 +38,5 @@ class Hpipm : public Solver {
     d_ocp_qp_ipm_ws work_{};
     void *work_memory_;
     std::vector<double> buffer_; // for one block at a time
-    std::vector<double> offset_; // of each stage's change of speed, which the dynamics fix
+    std::vector<double> offset_; // of each stage's cubic, which the dynamics fix
 };

@@ -12,8 +12,14 @@ continuous axis has none. Passive axes have no torque, no limit but soft ones, a
     subject to  x_0 = estimate at the commit knot
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
                 v_{N-1} = v_N = 0                        rest at the end
-                |u| <= limit, |v| <= limit, |v_{i+1} - v_i| <= limit
+                |u| <= limit
+                |6 (q_{i+1} - q_i) / h - v_i - v_{i+1}| <= 4 limit         speed
+                |6 (q_{i+1} - q_i) / h - 4 v_i - 2 v_{i+1}| <= limit h     acceleration
                 soft_min - s <= q + T v <= soft_max + s, with T by axis
+
+Of the cubic through two nodes, over an interval of h, these are the speed half-way and the
+acceleration where it begins. Torques are linear in between: where they swing from node to node, the
+speeds at the nodes and the mean accelerations between them do not show it.
 """
 
 from __future__ import annotations
@@ -47,10 +53,14 @@ RETURN_S = 0.4  # time constant of the way back into the soft limits
 # What a plan keeps to a position limit: what the model does not know goes there.
 ROOM = {"rad": 4e-3, "m": 4e-4}
 UNBOUNDED = 1e20
+# What two nodes say of the cubic between them: so many times 6 (q_{i+1} - q_i) / h, plus these
+# times v_i and v_{i+1}, are the speed half-way, and h times the acceleration where it begins.
+SPEED, ACCELERATION = (0.25, -1.0, -1.0), (1.0, -4.0, -2.0)
 # A plan whose constraints hold within these is believed: rad or m, and per second; torques within a
 # share of their limit.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE_SHARE = 3e-4, 1e-2, 5e-3
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
+CUBIC_SCALE = 1 / 3  # of the rows of a cubic, whose positions come with 6 / h
 TORQUE_FLOOR = (
     2e-6  # times the torque step weight, on the torque itself: the problem has one solution
 )
@@ -143,7 +153,7 @@ class Ocp:
             "effort": self._effort[:, None],
             "torque": limits.torque.T,
             "velocity": limits.velocity[:, None],
-            "change": limits.acceleration[:, None] * self.interval_s,
+            "surge": limits.acceleration[:, None] * self.interval_s,
             "soft_min": limits.soft_min[:, None],
             "soft_max": limits.soft_max[:, None],
             "approach_s": limits.approach_s[:, None],
@@ -165,6 +175,10 @@ class Ocp:
         self.row_scale = np.ones(self.rows)
         self.row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
         self.row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:][self.driven], 2)
+        # Found by trying, on jumps of the reference: of the programs that stop at the cap there are
+        # three times as many with half of it, and eight times as many without.
+        cubic = CUBIC_SCALE * self.interval_s / state[:n][self.driven]
+        self.row_scale[self._speed_row : self._soft_row] = np.tile(cubic, 2 * self.intervals)
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
         soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
@@ -247,13 +261,13 @@ class Ocp:
         self.equalities = row
         put(row, self.torques.start, np.eye((count + 1) * w))
         row += (count + 1) * w
-        for i in range(1, count + 1):
-            put(row, state(i), speeds)
-            row += w
-        for i in range(count):
-            put(row, state(i), -speeds)
-            put(row, state(i + 1), speeds)
-            row += w
+        self._speed_row = row
+        lever = 6 / self.interval_s * np.eye(2 * n)[self.driven]
+        for scale, begins, ends in (SPEED, ACCELERATION):
+            for i in range(count):
+                put(row, state(i), scale * (-lever + begins * speeds))
+                put(row, state(i + 1), scale * (lever + ends * speeds))
+                row += w
         self._soft_row = row
         own = np.eye(n)[self.bounded]
         for sign in (1.0, -1.0):
@@ -369,13 +383,12 @@ class Ocp:
         # The same motion under another disturbance takes as much less torque: nothing else changes.
         u = (linearized - (d - assumed))[driven, :]
         q, v, speed = x[:n, :], x[n:, :], x[moved, :]
-        change = speed[:, 1:] - speed[:, :-1]
         equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(speed[:, -2:])
         all_along = ca.DM.ones(1, count)
         pairs = (
             (u, p["torque"]),
-            (speed[:, 1:], p["velocity"] @ all_along),
-            (change, p["change"] @ all_along),
+            (self._between(SPEED, q[driven, :], speed), p["velocity"] @ all_along),
+            (self._between(ACCELERATION, q[driven, :], speed), p["surge"] @ all_along),
         )
         soft_min, soft_max = self._soft_limits(p, start[:n])
         ahead = q + v * p["approach_s"]
@@ -436,10 +449,10 @@ class Ocp:
             - b1_i[:, driven] @ du[:, i + 1]
             for i, (a_i, b0_i, b1_i) in enumerate(intervals)
         ]
-        dv = dx[[n + axis for axis in driven], :]
+        dq, dv = dx[driven, :], dx[[n + axis for axis in driven], :]
         value = ca.vertcat(
-            dx[:, 0], *defects, ca.vec(dv[:, -2:]), ca.vec(du), ca.vec(dv[:, 1:]),
-            ca.vec(dv[:, 1:] - dv[:, :-1]),
+            dx[:, 0], *defects, ca.vec(dv[:, -2:]), ca.vec(du),
+            *(ca.vec(self._between(kind, dq, dv)) for kind in (SPEED, ACCELERATION)),
         )  # fmt: skip
         scale = p["row_scale"][:rows]
         excess = ca.fmax(lower[:rows] / scale - value, value - upper[:rows] / scale)
@@ -487,6 +500,12 @@ class Ocp:
             name: ca.reshape(part, *shape)
             for name, part, shape in zip(self._values, parts, shapes, strict=True)
         }
+
+    def _between(self, kind: tuple[float, float, float], q: Any, v: Any) -> Any:
+        """Of each interval, (w, N)."""
+        scale, begins, ends = kind
+        moved = 6 / self.interval_s * (q[:, 1:] - q[:, :-1])
+        return scale * (moved + begins * v[:, :-1] + ends * v[:, 1:])
 
     @staticmethod
     def _smoothness(weight: Any) -> Any:

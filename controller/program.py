@@ -226,6 +226,7 @@ def _stages(ocp: Ocp, pool: dict[str, Array]) -> Stages:
     vectors = pool["gradient"], pool["lower"], pool["upper"]
     scales, hessian, soft = ocp.stages()
     return Stages(
+        ocp.interval_s,
         ocp.driven,
         ocp.bounded.tolist(),
         *(pool["a"], pool["b0"], pool["b1"]),

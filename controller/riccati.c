@@ -9,8 +9,9 @@
 //     subject to  [q; v]_{i+1} = G_i s_i + defect_i, v of motors given at the last two nodes
 //                 lower <= row - compliance multiplier <= upper
 //
-// A row is a torque, a speed, a change of speed to the next node, or q + T v of a soft limit. That
-// alone is compliant: a slack of weight W, which no other row shares, is the multiplier over W.
+// A row is a torque, q + T v of a soft limit, or of the cubic to the next node the speed half-way or
+// the acceleration with which it begins. Soft limits alone are compliant: a slack of weight W, which
+// no other row shares, is the multiplier over W.
 #include <math.h>
 #include <string.h>
 
@@ -32,10 +33,9 @@ enum {
     Y = X + W,
     S = W + Y,
     N = INTERVALS,
-    SPEED = W, // first row of its kind; torques come first
-    CHANGE = 2 * W,
-    AHEAD = 3 * W,
-    ROWS = 3 * W + SOFT,
+    BETWEEN = 2, // kinds of rows of a cubic; torques come first
+    AHEAD = (1 + BETWEEN) * W,
+    ROWS = AHEAD + SOFT,
     SV = VECTORS(S),
     XV = VECTORS(X),
     RV = VECTORS(ROWS),
@@ -48,6 +48,12 @@ enum {
 };
 
 static const int driven[] = DRIVEN, bounded[] = BOUNDED;
+
+// Rows of a cubic: lever (q_{i+1} - q_i) + begins v_i + ends v_{i+1}, a speed, or h times an
+// acceleration.
+static const struct {
+    double lever, begins, ends; // lever: in 6 / h
+} between[BETWEEN] = {{0.25, -0.25, -0.25}, {1, -4, -2}};
 
 // A bound that is none. An equality gives way by its multiplier over STIFF within a Newton step,
 // not in what it converges to.
@@ -82,7 +88,8 @@ struct memory {
     double first[W][W], first_inverse[W];     // factor of u_0's own Hessian
     double curved[CURVED ? N + 1 : 1][X][X];
     double diagonal[N + 1][Y], step[N][W];
-    double tau[SOFT + 1]; // T, scaled
+    double tau[SOFT + 1];     // T, scaled
+    double lever[BETWEEN][W]; // scaled
     double y[N + 1][Y], dy[N + 1][Y];
     double slope[N + 1][Y];         // of the cost at y
     double to_go[N + 1][Y];         // of the cost from a node on, of the step
@@ -175,13 +182,18 @@ static void add_node(struct memory *m, int i) {
     for (int j = 0; j < Y; ++j)
         h[W + j][W + j] += d[j];
     for (int j = 0; j < W; ++j) {
-        int v = W + AXES + driven[j];
-        double more = weight[SPEED + j] + weight[CHANGE + j];
-        if (i > 0)
-            more += ((const double *)m->weight.at[i - 1])[CHANGE + j];
+        int q = W + driven[j], v = q + AXES;
+        for (int k = 0; k < BETWEEN; ++k) {
+            double lever = m->lever[k][j], b = between[k].begins, e = between[k].ends;
+            int row = (1 + k) * W + j;
+            double begins = i < N ? weight[row] : 0;
+            double ends = i > 0 ? ((const double *)m->weight.at[i - 1])[row] : 0;
+            h[q][q] += lever * lever * (begins + ends);
+            h[q][v] += lever * (e * ends - b * begins);
+            h[v][v] += b * b * begins + e * e * ends;
+        }
         if (i >= N - 1)
-            more += STIFF;
-        h[v][v] += more;
+            h[v][v] += STIFF;
         h[W + X + j][W + X + j] += weight[j];
     }
     for (int j = 0; j < SOFT; ++j) {
@@ -206,7 +218,7 @@ static int factorize(struct memory *m) {
     for (int i = N - 1; i >= 0; --i) {
         struct stage *stage = &m->stages[i];
         const double (*g)[SL] = (const double (*)[SL])stage->g;
-        const double *change = (const double *)m->weight.at[i] + CHANGE;
+        const double *weight = (const double *)m->weight.at[i] + W;
         double coupled[X][W], own[W][W];
         for (int k = 0; k < X; ++k) // mirrored, and P_xu kept
             for (int r = k + 1; r < X; ++r)
@@ -217,23 +229,35 @@ static int factorize(struct memory *m) {
         for (int k = 0; k < W; ++k)
             for (int j = k; j < W; ++j)
                 own[k][j] = h[W + X + k][W + X + j];
-        // T = P_xx G + E, where E is P_xu for u_{i+1} and, for v_i, minus the change's weight;
-        // H = T'G + G'E.
+        // T = P_xx G + E, where E is P_xu for u_{i+1} and, for q_i and v_i, what rows of
+        // the cubic couple them with; H = T'G + G'E.
         product(X, 0, 0, (const double (*)[SL])(h[W] + W), g, t, 0, X);
         for (int k = 0; k < X; ++k)
             for (int j = 0; j < W; ++j)
                 t[k][j] += coupled[k][j];
-        for (int j = 0; j < W; ++j) {
-            int v = AXES + driven[j];
-            t[v][W + v] -= change[j];
-        }
+        for (int k = 0; k < BETWEEN; ++k)
+            for (int j = 0; j < W; ++j) {
+                int q = driven[j], v = AXES + q;
+                double lever = m->lever[k][j], own = weight[k * W + j];
+                double b = own * between[k].begins, e = between[k].ends;
+                t[q][W + q] -= lever * lever * own;
+                t[q][W + v] += lever * b;
+                t[v][W + q] -= lever * own * e;
+                t[v][W + v] += e * b;
+            }
         product(X, 0, 1, (const double (*)[SL])t, g, h, 0, S);
         for (int r = 0; r < S; ++r)
-            for (int j = 0; j < W; ++j) {
-                int v = AXES + driven[j];
-                if (W + v >= r)
-                    h[r][W + v] -= change[j] * stage->turned[r][v];
-            }
+            for (int k = 0; k < BETWEEN; ++k)
+                for (int j = 0; j < W; ++j) {
+                    int q = driven[j], v = AXES + q;
+                    double lever = m->lever[k][j], e = between[k].ends;
+                    double moved = lever * stage->turned[r][q] + e * stage->turned[r][v];
+                    double own = weight[k * W + j] * moved;
+                    if (W + q >= r)
+                        h[r][W + q] -= lever * own;
+                    if (W + v >= r)
+                        h[r][W + v] += between[k].begins * own;
+                }
         for (int r = 0; r < W; ++r) {
             for (int k = 0; k < X; ++k)
                 for (int j = 0; j < W; ++j)
@@ -284,10 +308,14 @@ static inline void gradient_at(const struct memory *m, int i, double *gradient) 
     const double *push = (const double *)m->push.at[i];
     memcpy(gradient, m->slope[i], sizeof(double[Y]));
     for (int j = 0; j < W; ++j) {
-        int v = AXES + driven[j];
-        gradient[v] += push[SPEED + j] - push[CHANGE + j];
-        if (i > 0)
-            gradient[v] += ((const double *)m->push.at[i - 1])[CHANGE + j];
+        int q = driven[j], v = AXES + q;
+        for (int k = 0; k < BETWEEN; ++k) {
+            int row = (1 + k) * W + j;
+            double begins = i < N ? push[row] : 0;
+            double ends = i > 0 ? ((const double *)m->push.at[i - 1])[row] : 0;
+            gradient[q] += m->lever[k][j] * (ends - begins);
+            gradient[v] += between[k].begins * begins + between[k].ends * ends;
+        }
         if (i >= N - 1)
             gradient[v] += m->rest[i - N + 1][j];
         gradient[X + j] += push[j];
@@ -377,10 +405,13 @@ static void rows_of(const struct memory *m, const double (*y)[Y], struct rows *r
     for (int i = 0; i <= N; ++i) {
         double *row = (double *)rows->at[i];
         for (int j = 0; j < W; ++j) {
-            int v = AXES + driven[j];
+            int q = driven[j], v = AXES + q;
             row[j] = y[i][X + j];
-            row[SPEED + j] = y[i][v];
-            row[CHANGE + j] = i < N ? y[i + 1][v] - y[i][v] : 0;
+            for (int k = 0; k < BETWEEN; ++k)
+                row[(1 + k) * W + j] = i < N ? m->lever[k][j] * (y[i + 1][q] - y[i][q]) +
+                                                   between[k].begins * y[i][v] +
+                                                   between[k].ends * y[i + 1][v]
+                                             : 0;
         }
         for (int j = 0; j < SOFT; ++j)
             row[AHEAD + j] = y[i][bounded[j]] + m->tau[j] * y[i][AXES + bounded[j]];
@@ -440,6 +471,11 @@ int riccati_update(void *memory, const struct riccati_problem *p) {
         m->tau[j] = p->approach_s[axis] * scale[AXES + axis] / scale[axis];
         ((double *)m->compliance)[AHEAD + j] = 1 / (2 * p->soft[axis] * scale[axis] * scale[axis]);
     }
+    for (int k = 0; k < BETWEEN; ++k)
+        for (int j = 0; j < W; ++j) {
+            int q = driven[j];
+            m->lever[k][j] = between[k].lever * 6 / p->interval_s * scale[q] / scale[AXES + q];
+        }
     memset(&m->weight, 0, sizeof m->weight);
     return factorize(m);
 }
@@ -449,7 +485,7 @@ static void take_vectors(struct memory *m, const struct riccati_problem *p) {
     const double *scale = p->column_scale, *torque = scale + X * (N + 1);
     const double *low = p->lower, *up = p->upper;
     const int rest = X * (N + 1), torques = rest + 2 * W, speeds = torques + W * (N + 1);
-    const int changes = speeds + W * N, above = changes + W * N, below = above + SOFT * N;
+    const int above = speeds + BETWEEN * W * N, below = above + SOFT * N;
     for (int i = 0; i <= N; ++i) {
         double *lower = (double *)m->sides[0].bound.at[i];
         double *upper = (double *)m->sides[1].bound.at[i];
@@ -459,16 +495,15 @@ static void take_vectors(struct memory *m, const struct riccati_problem *p) {
             double unit = 1 / scale[AXES + driven[j]], of_torque = 1 / torque[j];
             lower[j] = low[torques + i * W + j] * of_torque;
             upper[j] = up[torques + i * W + j] * of_torque;
-            if (i > 0 && i < N - 1) {
-                lower[SPEED + j] = low[speeds + (i - 1) * W + j] * unit;
-                upper[SPEED + j] = up[speeds + (i - 1) * W + j] * unit;
-            } else if (i >= N - 1) {
+            if (i >= N - 1) {
                 int row = rest + (i - N + 1) * W + j;
                 m->still[i - N + 1][j] = low[row] / p->row_scale[row] * unit;
             }
-            if (i < N) {
-                lower[CHANGE + j] = low[changes + i * W + j] * unit;
-                upper[CHANGE + j] = up[changes + i * W + j] * unit;
+            for (int k = 0; i < N && k < BETWEEN; ++k) {
+                int row = speeds + (k * N + i) * W + j;
+                double by = unit / p->row_scale[row];
+                lower[(1 + k) * W + j] = low[row] * by;
+                upper[(1 + k) * W + j] = up[row] * by;
             }
         }
         for (int j = 0; i > 0 && j < SOFT; ++j) {

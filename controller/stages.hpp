@@ -11,6 +11,7 @@ using Matrix = nanobind::ndarray<double, nanobind::device::cpu>;
 
 struct Stages {
     int axes, intervals;
+    double interval_s;
     std::vector<int> driven;        // axes with a motor
     std::vector<int> bounded;       // axes with soft limits
     Matrix a, b0, b1;               // the intervals' dynamics, unscaled

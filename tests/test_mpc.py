@@ -94,7 +94,7 @@ def problems(backend: str, *more: str) -> list[Problem]:
 def test_a_solver_finds_what_another_one_finds(backend: str, tolerance: float) -> None:
     """In the cost, and in the states that it weighs, in units of a millirad. What comes after them
     only has to stop, and one way is as good as another."""
-    every = problems(backend)
+    every = problems(backend, "mpc.position_weight=1e6", "mpc.velocity_weight=200")
     assert len(every) > 300
     for problem in every[::30]:
         assert problem.solution.residual <= 1
@@ -247,7 +247,7 @@ def run_with(
     with monkeypatch.context() as patch:
         patch.setattr(program, "_osqp", build)
         patch.setattr(Mpc, "solve", solve_seen)
-        lock = lockstep("duration_s=2")
+        lock = lockstep("duration_s=2", "mpc.backend=osqp")
         lock.run()
     return lock, taken
 
