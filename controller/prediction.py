@@ -77,19 +77,22 @@ class Prediction:
                    to x after, its Jacobians in x, u0, u1
         given      x, tracks to the servos' torques, as far as the motors give them
         inverse    q, v, a to motor torques
+        along      the same at `horizon_knots` + 1 knots, side by side
     """
 
     def __init__(self, machine: Machine, law: ServoLaw, intervals: int, horizon_knots: int) -> None:
         self.law, self.n, self.horizon_knots = law, len(law.kp), horizon_knots
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
-        functions = [_step(equations), rollout, equations.given, equations.inverse]
+        along = equations.inverse.map("along", "serial", horizon_knots + 1, [3], [])
+        functions = [_step(equations), rollout, equations.given, equations.inverse, along]
         library = compile_functions("machine", functions)
         linearize = compile_mapped("linearize", interval(equations), intervals, [3, 4, 5])
         self._libraries = {"linearize": linearize} | dict.fromkeys(
-            ("step", "rollout", "given", "inverse"), library
+            ("step", "rollout", "given", "inverse", "along"), library
         )
         self.step, self._inverse = self.call("step"), self.call("inverse")
+        self._along = self.call("along")
         self._given = self.call("given")
 
     @classmethod
@@ -111,18 +114,17 @@ class Prediction:
         return self._given.run()[0][:, 0].copy()
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
-        """Motor torques [Nm] of the motion (m, n) by the model."""
-        return np.array([self._inverse_at(*row) for row in zip(q, v, a, strict=True)])
-
-    def _inverse_at(self, q: Array, v: Array | float, a: Array | float) -> Array:
-        at, speed, acceleration = self._inverse.inputs
-        at.T[...], speed.T[...], acceleration.T[...] = q, v, a
-        return self._inverse.run()[0][:, 0].copy()
+        """Motor torques (K+1, n) [Nm or N] of the motion at the horizon's knots by the model."""
+        for given, rows in zip(self._along.inputs, (q, v, a), strict=True):
+            given.T[...] = rows
+        return self._along.run()[0].T.copy()
 
     def holding(self, q: Array, disturbance: Array) -> Array:
         """Motor torques (n,) that hold the machine at rest at q (n,); none on passive axes, which
         may fall."""
-        return np.where(self.law.limit > 0, self._inverse_at(q, 0.0, 0.0) - disturbance, 0.0)
+        self._inverse.inputs[0].T[...] = q  # at rest: the others stay zero
+        needed = self._inverse.run()[0][:, 0]
+        return np.where(self.law.limit > 0, needed - disturbance, 0.0)
 
 
 def _symbols(n: int) -> tuple[Any, ...]:

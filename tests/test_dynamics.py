@@ -370,9 +370,10 @@ def test_inverse_dynamics_undo_the_open_loop_step(predicted: tuple[Machine, Pred
     """The torque of a motion, put into the open-loop interval, gives the motion's acceleration."""
     _, prediction = predicted
     rng, n, dt = np.random.default_rng(10), prediction.n, 1e-5
-    q, v = rng.uniform(-2, 2, (INTERVALS, n)), rng.normal(0, 2, (INTERVALS, n))
-    a = rng.normal(0, 20, (INTERVALS, n))
-    torque = prediction.inverse_dynamics(q, v, a)
+    q, v = rng.uniform(-2, 2, (HORIZON + 1, n)), rng.normal(0, 2, (HORIZON + 1, n))
+    a = rng.normal(0, 20, (HORIZON + 1, n))
+    torque = prediction.inverse_dynamics(q, v, a)[:INTERVALS]
+    q, v, a = q[:INTERVALS], v[:INTERVALS], a[:INTERVALS]
     x = np.hstack((q, v)).T
     after = linearize(prediction, x, torque.T, torque.T, np.zeros(n), dt)[0]
     np.testing.assert_allclose((after[n:].T - v) / dt, a, atol=0.02 * np.abs(a).max())

@@ -444,10 +444,10 @@ def test_five_tracks_of_the_shipped_machines_fit_a_frame(name: str) -> None:
 
 
 def test_a_plan_that_might_not_fit_is_refused_at_the_start() -> None:
-    config = config_of("loop.gains=fixed", "mpc.horizon_us=319488")
-    with pytest.raises(ValueError, match=r"loop\.gains is fixed: a plan of 81 points .*horizon_us"):
+    config = config_of("loop.gains=fixed", "mpc.horizon_us=344064")
+    with pytest.raises(ValueError, match=r"loop\.gains is fixed: a plan of 87 points .*horizon_us"):
         Lockstep(config, CONFIGS)
-    Lockstep(config_of("mpc.horizon_us=319488"), CONFIGS)
+    Lockstep(config_of("mpc.horizon_us=344064"), CONFIGS)
 
 
 @given(st.integers(3, 128), st.integers(0, 2**32))
