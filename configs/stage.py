@@ -62,11 +62,15 @@ class Track(Section):
 class Node(Section):
     """One value made of others, each servo period."""
 
-    kind: Literal["add", "multiply", "compare", "window", "gate", "edge"]
+    kind: Literal["add", "multiply", "compare", "window", "gate", "edge", "past"]
     a: str
     b: str = ""
     low: Int32 = 0
     high: Int32 = 0
+    by_us: Annotated[int, Field(ge=0, le=2**31 - 1)] | None = None
+    """Of `past`: how long ago."""
+    otherwise: Int32 = 0
+    """Of `past`: its value where the track does not reach back so far."""
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -205,6 +209,7 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
             found.append((("tracks", name), "is the name of an input: give it another one"))
     for name, device in stage.devices.items():
         known = [*stage.tracks, *INPUTS, *device.nodes]
+        tracks = ", ".join(stage.tracks)
 
         def check(key: KeyPath, read: str, known: list[str] = known) -> None:
             if read not in known:
@@ -226,6 +231,12 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
                 check((*key, "b"), of.b)
             if of.low > of.high:
                 found.append(((*key, "low"), f"is above high, {of.high}"))
+            if of.kind == "past" and of.a in known and of.a not in stage.tracks:
+                text = f"is no track: of nothing else the past is kept; there are: {tracks}"
+                found.append(((*key, "a"), text))
+            if (of.kind == "past") != (of.by_us is not None):
+                text = "say how long ago: by_us" if of.kind == "past" else "only of kind past"
+                found.append(((*key, "by_us"), text))
         for i, reading in enumerate(device.readings):
             check((*at, "readings", i, "read"), reading.read)
             if reading.kind != "interval":

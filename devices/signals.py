@@ -17,9 +17,9 @@ Trigger = tuple[int, int, int, int]  # kind, source, condition, every
 Sent = tuple[int, int, tuple[int | None, int, int | None, int]]  # track, number, piece
 WRONG = {
     "kind": "is of a kind that there is not",
-    "missing": "reads something that is not there",
+    "missing": "reads something that is not there, or whose past nobody keeps",
     "cycle": "reads itself, or a node after it",
-    "limits": "has its low above its high, or no period",
+    "limits": "has its low above its high, no period, or a past that no track reaches back to",
 }
 
 

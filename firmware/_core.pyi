@@ -352,6 +352,9 @@ class Track:
     def copy(self) -> Track: ...
     def write(self, first_knot: int, points: NDArray[np.int32]) -> None: ...
     def points(self, first_knot: int, count: int) -> NDArray[np.int32]: ...
+    def past(self, time_us: int, knot_shift: int) -> int | None:
+        """The value at a past system time; None if it is not there any more or never was."""
+
     def evaluate(
         self, times_us: NDArray[np.int64], knot_shift: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -586,10 +589,15 @@ def logic_encode(
     """A LOGIC payload. Raises ValueError for more than a device has."""
 
 def logic_check(
-    nodes: list[_Node], digital: list[int], pwm: list[int], triggers: list[_Trigger]
+    nodes: list[_Node],
+    digital: list[int],
+    pwm: list[int],
+    triggers: list[_Trigger],
+    knot_shift: int = 15,
 ) -> tuple[str, int]:
     """What a device would say: "good", or what is wrong and with which; nodes are counted first,
-    then digital outputs, PWM outputs and triggers."""
+    then digital outputs, PWM outputs and triggers. `knot_shift`: of the device; with the longest
+    knots, 15, tracks of motion reach back the longest. Raises ValueError for one that is none."""
 
 class Report:
     """A READINGS payload, see report.h."""
@@ -624,6 +632,9 @@ class Pieces:
     def next(self) -> int: ...
     def take(self, number: int, piece: _Piece, now_us: int) -> str: ...
     def at(self, time_us: int) -> int: ...
+    def past(self, time_us: int) -> int | None:
+        """The same; None where no piece reaches back to."""
+
     def now(self, time_us: int, /) -> int: ...
 
 class Graph:

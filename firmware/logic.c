@@ -13,8 +13,8 @@ static enum graph_result check_trigger(const struct trigger *trigger, int32_t no
     return trigger->kind != TRIGGER_EDGE && trigger->every == 0 ? GRAPH_LIMITS : GRAPH_GOOD;
 }
 
-enum graph_result logic_check(const struct logic *logic, int32_t *wrong) {
-    enum graph_result result = graph_check(logic->node, logic->nodes, wrong);
+enum graph_result logic_check(const struct logic *logic, int32_t knot_shift, int32_t *wrong) {
+    enum graph_result result = graph_check(logic->node, logic->nodes, knot_shift, wrong);
     for (int32_t i = 0; i < BOARD_DIGITAL + BOARD_PWM && result == GRAPH_GOOD; i++) {
         uint8_t source = i < BOARD_DIGITAL ? logic->digital[i] : logic->pwm[i - BOARD_DIGITAL];
         if (source != SOURCE_UNUSED && !source_exists(source, logic->nodes))

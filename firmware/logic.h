@@ -35,7 +35,7 @@ struct logic {
 };
 
 // What is wrong, and with which: nodes are counted first, then outputs, then triggers.
-enum graph_result logic_check(const struct logic *logic, int32_t *wrong);
+enum graph_result logic_check(const struct logic *logic, int32_t knot_shift, int32_t *wrong);
 
 // The size, or -1 if it does not fit; false if malformed (then the output is undefined).
 int32_t logic_encode(const struct logic *logic, uint8_t *payload, int32_t capacity);

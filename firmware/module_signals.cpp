@@ -89,7 +89,7 @@ void bind_signals(nb::module_ &m) {
         std::vector<std::string>{"position", "error",    "torque",   "supply",  "state",
                                  "digital0", "digital1", "digital2", "digital3"};
     m.attr("NODE_KINDS") =
-        std::vector<std::string>{"add", "multiply", "compare", "window", "gate", "edge"};
+        std::vector<std::string>{"add", "multiply", "compare", "window", "gate", "edge", "past"};
     m.attr("TRIGGER_KINDS") = std::vector<std::string>{"interval", "edge", "window"};
     m.def("batch_encode", &encode_batch, "base_us"_a, "seen"_a, "pieces"_a);
     m.def(
@@ -105,13 +105,16 @@ void bind_signals(nb::module_ &m) {
     m.def(
         "logic_check",
         [](const std::vector<Node> &nodes, const std::vector<uint8_t> &digital,
-           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers) {
+           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers,
+           int32_t knot_shift) {
             logic l = logic_of(1, nodes, digital, pwm, triggers);
             int32_t wrong;
-            std::string result = results[logic_check(&l, &wrong)];
+            if (knot_shift < 9 || knot_shift > 15)
+                throw std::invalid_argument("a knot shift is from 9 to 15");
+            std::string result = results[logic_check(&l, knot_shift, &wrong)];
             return std::make_tuple(result, wrong);
         },
-        "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a);
+        "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a, "knot_shift"_a = 15);
     nb::class_<report>(m, "Report")
         .def_ro("logic", &report::logic)
         .def_prop_ro("result", [](const report &r) { return std::string(results[r.result % 5]); })
@@ -149,6 +152,13 @@ void bind_signals(nb::module_ &m) {
         .def(
             "at", [](const pieces &p, int64_t time_us) { return pieces_at(&p, time_us); },
             "time_us"_a)
+        .def(
+            "past",
+            [](const pieces &p, int64_t time_us) -> std::optional<int32_t> {
+                int32_t value;
+                return pieces_past(&p, time_us, &value) ? std::optional(value) : std::nullopt;
+            },
+            "time_us"_a)
         .def("now", &pieces_now, "time_us"_a);
     nb::class_<graph>(m, "Graph")
         .def(
@@ -156,7 +166,7 @@ void bind_signals(nb::module_ &m) {
             [](graph *g, const std::vector<Node> &nodes) {
                 logic l = logic_of(1, nodes, {}, {}, {});
                 int32_t wrong;
-                if (logic_check(&l, &wrong) != GRAPH_GOOD)
+                if (logic_check(&l, 15, &wrong) != GRAPH_GOOD)
                     throw std::invalid_argument("a node is wrong: ask logic_check");
                 new (g) graph{};
                 g->count = l.nodes;

@@ -31,7 +31,8 @@ static uint8_t driven(const uint8_t *sources, int32_t count) {
 static uint32_t reads(const struct logic *logic) {
     uint32_t all = 0;
     for (int32_t i = 0; i < logic->nodes; i++)
-        all |= bit(logic->node[i].a) | bit(logic->node[i].b);
+        all |= logic->node[i].kind == NODE_PAST ? 1u << SIGNALS_READ_PAST
+                                                : bit(logic->node[i].a) | bit(logic->node[i].b);
     for (int32_t i = 0; i < BOARD_DIGITAL; i++)
         all |= bit(logic->digital[i]);
     for (int32_t i = 0; i < BOARD_PWM; i++)
@@ -56,13 +57,13 @@ static uint8_t edge_triggers(const struct logic *logic) {
     return (uint8_t)all;
 }
 
-void signals_rule(struct signals *signals, const struct logic *logic) {
+void signals_rule(struct signals *signals, const struct logic *logic, int32_t knot_shift) {
     int32_t wrong;
     if (signals->used && logic->number == signals->asked)
         return;
     signals->used = true;
     signals->asked = logic->number;
-    signals->result = (uint8_t)logic_check(logic, &wrong);
+    signals->result = (uint8_t)logic_check(logic, knot_shift, &wrong);
     signals->wrong = (uint8_t)wrong;
     if (signals->result != GRAPH_GOOD)
         return;
@@ -204,6 +205,24 @@ static void switch_off(struct signals *signals, struct board *board,
 
 bool signals_idle(const struct signals *signals) {
     return !signals->used && signals->on == 0 && signals->ahead == 0 && signals->pwm_off == ALL_PWM;
+}
+
+void signals_recall(struct signals *signals, const struct track *tracks, int64_t time_us,
+                    int32_t knot_shift) {
+    for (int32_t i = 0; i < signals->graph.count; i++) {
+        const struct logic_node *node = &signals->graph.nodes[i];
+        int64_t then_us = time_us - node->low;
+        int32_t value = node->high;
+        if (node->kind != NODE_PAST)
+            continue;
+        if (node->a < SOURCE_OF_PIECES) {
+            struct instant then = instant_at(then_us, knot_shift);
+            track_past(&tracks[node->a], &then, &value);
+        } else {
+            pieces_past(&signals->tracks[node->a - SOURCE_OF_PIECES], then_us, &value);
+        }
+        signals->values[SOURCE_OF_NODES + i] = value;
+    }
 }
 
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,

@@ -163,8 +163,7 @@ class Play:
                 _core.NODE_KINDS.index(node.kind),
                 source[node.a],
                 source.get(node.b, 0) if node.kind in TWO else 0,
-                node.low,
-                node.high,
+                *((node.low, node.high) if node.by_us is None else (node.by_us, node.otherwise)),
             )
             for node in (device.nodes[n] for n in nodes)
         ]

@@ -8,7 +8,7 @@ from test_vectors import INT32_MAX, TIME_MAX, VECTORS, Vector, read
 PIECES, READINGS, NODES, TRIGGERS, BATCH, REPORTED = 32, 128, 16, 4, 64, 48
 PATIENCE = 4
 LONGEST_US = 1 << 30
-NODE = 32
+NODE, PAST = 32, 6
 
 
 def wrapped(value: int, bits: int = 32) -> int:
@@ -37,6 +37,9 @@ class Track:
             else first + (last - first) * Fraction(time_us - start, end - start)
         )
 
+    def reaches(self, time_us: int) -> bool:
+        return any(line[0] <= time_us for line in self.lines[-PIECES:])
+
     def take(self, v: Vector) -> str:
         number, now_us = v.number("number"), v.number("now_us")
         start, first = optional(v, "start_us"), optional(v, "from")
@@ -57,7 +60,7 @@ class Track:
 
 
 def test_pieces() -> None:
-    track, results = Track(), set()
+    track, results, gone = Track(), set(), 0
     for v in read(VECTORS / "pieces.txt"):
         if v.word == "pieces":
             track = Track()
@@ -65,20 +68,27 @@ def test_pieces() -> None:
             result = track.take(v)
             assert v.answer == f"{result} next={len(track.lines)}", v
             results.add(result)
+        elif v.word == "piece-past" and not track.reaches(v.number("time_us")):
+            assert v.answer == "gone", v
+            gone += 1
         else:
             value = int(v.answer.partition("=")[2])
             assert abs(value - track.at(v.number("time_us"))) < 2, v
-    assert results == {"taken", "gap", "late", "order", "full"}
+    assert results == {"taken", "gap", "late", "order", "full"} and gone > 50
 
 
 def exists(source: int, nodes: int) -> bool:
     return source < 25 or NODE <= source < NODE + nodes
 
 
-def wrong_node(node: list[int], at: int, nodes: int) -> str:
+def wrong_node(node: list[int], at: int, nodes: int, shift: int = 12) -> str:
     kind, a, b, low, high = node
-    if kind > 5:
+    if kind > PAST:
         return "kind"
+    if kind == PAST and a > 15:
+        return "missing"
+    if kind == PAST:
+        return "limits" if low < 0 or (a < 5 and low > 254 << shift) else ""
     if low > high:
         return "limits"
     for source in (a, b) if kind in (0, 1, 4) else (a,):
@@ -93,14 +103,14 @@ def fives(numbers: list[int]) -> list[list[int]]:
     return [numbers[i : i + 5] for i in range(0, len(numbers), 5)]
 
 
-def first_wrong(nodes: list[list[int]]) -> tuple[str, int]:
+def first_wrong(nodes: list[list[int]], shift: int = 12) -> tuple[str, int]:
     for at, node in enumerate(nodes):
-        if found := wrong_node(node, at, len(nodes)):
+        if found := wrong_node(node, at, len(nodes), shift):
             return found, at
     return "good", len(nodes)
 
 
-def step(nodes: list[list[int]], held: list[bool], values: list[int]) -> list[int]:
+def step(nodes: list[list[int]], held: list[bool], values: list[int], past: list[int]) -> list[int]:
     known = dict(enumerate(values))
 
     def clip(value: int) -> int:
@@ -116,6 +126,7 @@ def step(nodes: list[list[int]], held: list[bool], values: list[int]) -> list[in
             lambda a, b, low, high, on: int(low <= a <= high),
             lambda a, b, *_: a if b else 0,
             lambda a, b, low, high, on: int(a != 0 and not on),
+            lambda *_, i=i: past[i],
         ][kind](a, b, low, high, held[i])
         held[i] = a != 0 if kind == 5 else value != 0
         known[NODE + i] = value
@@ -130,14 +141,15 @@ def test_graphs() -> None:
     for v in read(VECTORS / "graphs.txt"):
         if v.word == "graph":
             nodes = fives(v.numbers("nodes"))
-            result, at = first_wrong(nodes)
+            result, at = first_wrong(nodes, optional(v, "knot_shift") or 12)
             assert v.answer == f"{result} wrong={at}", v
             results.add(result)
             nodes = nodes if result == "good" else []
             held = [False] * len(nodes)
         else:
+            past = v.numbers("past") if "past" in v.given else []
             got = Vector(0, "", {"nodes": v.answer.partition("=")[2]}, "").numbers("nodes")
-            assert got == step(nodes, held, v.numbers("values")), v
+            assert got == step(nodes, held, v.numbers("values"), past), v
     assert results == {"good", "kind", "missing", "cycle", "limits"}
 
 

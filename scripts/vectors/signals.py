@@ -11,7 +11,8 @@ PIECES, READINGS, NODES, TRIGGERS = 32, 128, 16, 4
 LONGEST_US, TIME_MAX = 1 << 30, 1 << 60
 TOP = (1 << 31) - 1
 EDGES = (-TOP - 1, -TOP, -65536, -1, 0, 1, 2, 65535, 65536, TOP)
-KINDS, INPUTS, NODE = 6, range(16, 25), 32
+KINDS, PAST, INPUTS, NODE = 7, 6, range(16, 25), 32
+PAST_KNOTS = 254  # that a track of motion reaches back
 TWO = (0, 1, 4)  # kinds that read b: add, multiply, gate
 
 
@@ -21,6 +22,7 @@ def pieces(rng: Random) -> Iterator[str]:
         for first, last in ((0, 0), (0, 1000), (-TOP - 1, TOP), (TOP, -TOP - 1), (5, -6)):
             yield line("pieces")
             yield line("piece-at", time_us=0)
+            yield line("piece-past", time_us=0)
             yield line("piece-now", time_us=0)
             yield line("piece-take", number=0, start_us=100, end_us=100 + took,
                        **{"from": first}, to=last, now_us=100)  # fmt: skip
@@ -28,6 +30,7 @@ def pieces(rng: Random) -> Iterator[str]:
             for time_us in sorted({99, 100, 101, 99 + took, 100 + took, 101 + took}
                                   | {100 + i for i in inside}):  # fmt: skip
                 yield line("piece-at", time_us=time_us)
+                yield line("piece-past", time_us=time_us)
                 yield line("piece-now", time_us=time_us)
     yield from _left_out()
     yield from _refused()
@@ -74,6 +77,7 @@ def _ring(rng: Random) -> Iterator[str]:
         yield line("piece-take", number=PIECES, start_us=900, end_us=950, to=3, now_us=now_us)
     for time_us in (0, 4, 9, 10, 12, 25, 299, 315, 899, 925, 999):
         yield line("piece-at", time_us=time_us)
+        yield line("piece-past", time_us=time_us)
         yield line("piece-now", time_us=time_us)
     at = now_us = 1000
     for number in range(PIECES + 1, PIECES + 100):
@@ -84,6 +88,8 @@ def _ring(rng: Random) -> Iterator[str]:
         )
         if rng.random() < 0.4:
             yield line("piece-now", time_us=now_us)
+            for _ in range(2):
+                yield line("piece-past", time_us=now_us - rng.randrange(1000))
     yield line("piece-at", time_us=0)
     yield line("piece-now", time_us=1 << 50)
 
@@ -91,12 +97,12 @@ def _ring(rng: Random) -> Iterator[str]:
 def _node(rng: Random, at: int) -> list[int]:
     a, b = (rng.choice([*range(4), *INPUTS, *range(NODE, NODE + at)]) for _ in range(2))
     low, high = sorted(rng.choice(EDGES) for _ in range(2))
-    return [rng.randrange(KINDS), a, b, low, high]
+    return [rng.randrange(PAST), a, b, low, high]
 
 
 def graphs(rng: Random) -> Iterator[str]:
     """Every kind with every edge, hystereses on their way, and all that can be wrong."""
-    for kind in range(KINDS):
+    for kind in range(PAST):
         for low, high in ((0, 0), (-1, 1), (-TOP - 1, TOP), (2, 65535)):
             yield line("graph", nodes=[kind, 0, 1, low, high])
             for _ in range(14):
@@ -125,6 +131,26 @@ def graphs(rng: Random) -> Iterator[str]:
     ):  # fmt: skip
         for nodes in (wrong, good + wrong, wrong + good, good + good + wrong):
             yield line("graph", nodes=nodes)
+    yield from _past_nodes(rng)
+
+
+def _past_nodes(rng: Random) -> Iterator[str]:
+    """Of every source, as long ago as can be and longer, and read by others; b says nothing."""
+    for shift in (9, 15):
+        longest = PAST_KNOTS << shift
+        for a in (0, 4, 5, 15, 16, NODE, 255):
+            for ago in (0, longest, longest + 1, TOP, -1):
+                yield line("graph", nodes=[PAST, a, 99, ago, -5], knot_shift=shift)
+    for _ in range(8):
+        at = rng.randrange(1, 5)
+        others = [n for i in range(at) for n in _node(rng, i)]
+        past = [PAST, rng.randrange(16), 0, rng.randrange(1000), rng.choice(EDGES)]
+        nodes = [*others, *past, 0, NODE + at, 0, 0, 0, 5, NODE + at, 0, 0, 0]
+        yield line("graph", nodes=nodes)
+        for _ in range(5):
+            before = [0] * at + [rng.choice(EDGES)]
+            values = [rng.choice(EDGES) for _ in range(25)]
+            yield line("graph-step", values=values, past=before)
 
 
 def readings(rng: Random) -> Iterator[str]:
@@ -237,7 +263,7 @@ def logics(rng: Random) -> Iterator[str]:
              "triggers": [0, 16, 99, 1, 1, 17, 32, 0, 2, 33, 24, 7]}  # fmt: skip
     yield line("logic-check", number=1, **usual)
     for key, at, value in (
-        ("nodes", 5, 6), ("nodes", 6, 33), ("digital", 0, 34), ("digital", 3, 25),
+        ("nodes", 5, 7), ("nodes", 6, 33), ("digital", 0, 34), ("digital", 3, 25),
         ("digital", 3, 254), ("pwm", 0, 31), ("pwm", 1, 26), ("triggers", 0, 3),
         ("triggers", 1, 25),
         ("triggers", 3, 0), ("triggers", 5, 34), ("triggers", 6, 255), ("triggers", 8, 3),

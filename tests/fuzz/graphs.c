@@ -1,11 +1,15 @@
 // Fuzz target: signals of a hostile host. Its bytes are a script: logic of any nodes, batches of any
 // pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
-// outputs are off where nothing rules them and as their tracks have them else, and what is told can be
-// read.
+// outputs are off where nothing rules them and as their tracks have them else, the past of a track is
+// what it was or is said not to be there, and what is told can be read.
 #include "node.h"
 #include "script.h"
 
 static struct node begun;
+
+// Tracks of motion, and of the first one which knot's point each place of its ring was given last.
+static struct track tracks[SOURCE_OF_PIECES];
+static int64_t placed[TRACK_POINTS];
 
 int LLVMFuzzerInitialize(int *argc, char ***argv) {
     (void)argc, (void)argv;
@@ -50,9 +54,9 @@ static void rule(struct script *script, struct signals *signals) {
     struct logic again;
     int32_t size = logic_encode(&logic, payload, sizeof payload);
     PROMISE(size > 0 && logic_decode(payload, size, &again));
-    PROMISE(logic_check(&again, &wrong) == logic_check(&logic, &wrong));
+    PROMISE(logic_check(&again, FUZZ_SHIFT, &wrong) == logic_check(&logic, FUZZ_SHIFT, &wrong));
     PROMISE(logic_encode(&logic, payload, size - 1) == -1);
-    signals_rule(signals, &again);
+    signals_rule(signals, &again, FUZZ_SHIFT);
 }
 
 static void take(struct script *script, struct signals *signals, int64_t now_us) {
@@ -87,6 +91,59 @@ static void take(struct script *script, struct signals *signals, int64_t now_us)
     PROMISE(batch_encode(&batch, payload, sizeof payload) <= (int32_t)sizeof payload);
 }
 
+// Plans that go on from the first track's end, or before it; now and then its first one.
+static void plan(struct script *script, int64_t now_us) {
+    struct track *track = &tracks[0];
+    int32_t points[128], count = next(script) % 126 + 3;
+    int64_t first = track->written ? track->end + 1 - next(script) % 4 : now_us >> FUZZ_SHIFT;
+    for (int32_t i = 0; i < count; i++)
+        points[i] = next(script) << 8;
+    if (track->written && first < track->oldest)
+        return;
+    if (next(script) % 32 == 0)
+        track->written = false;
+    if (!track->written)
+        memset(placed, 0, sizeof placed);
+    for (int32_t i = 0; i < count; i++)
+        placed[(uint32_t)(first + i) % TRACK_POINTS] = first + i;
+    track_write(track, first, points, count);
+}
+
+static bool is_left(int64_t knot) {
+    return knot > tracks[0].end || placed[(uint32_t)knot % TRACK_POINTS] == knot;
+}
+
+// By hand, one piece after the other, or by which points the ring still has.
+static int32_t past_of(const struct signals *signals, const struct logic_node *node,
+                       int64_t then_us) {
+    int64_t knot = then_us >> FUZZ_SHIFT;
+    struct instant at = {knot, (uint16_t)(then_us << (16 - FUZZ_SHIFT))};
+    if (node->a < SOURCE_OF_PIECES) {
+        bool left = node->a == 0 && tracks[0].written && knot <= tracks[0].end;
+        for (int32_t i = -1; i < 3; i++)
+            left = left && is_left(knot + i);
+        return left ? track_value(&tracks[0], &at) : node->high;
+    }
+    const struct pieces *track = &signals->tracks[node->a - SOURCE_OF_PIECES];
+    for (uint32_t i = 1; i <= PIECES && i <= track->next; i++) {
+        const struct piece *piece = &track->ring[(track->next - i) % PIECES];
+        if (piece->start_us <= then_us) {
+            struct pieces alone = {.next = 1, .ring[0] = *piece};
+            return pieces_now(&alone, then_us);
+        }
+    }
+    return node->high;
+}
+
+static void promise_past(const struct signals *signals, int64_t time_us) {
+    for (int32_t i = 0; i < signals->graph.count; i++) {
+        const struct logic_node *node = &signals->graph.nodes[i];
+        if (node->kind == NODE_PAST)
+            PROMISE(signals->values[SOURCE_OF_NODES + i] ==
+                    past_of(signals, node, time_us - node->low));
+    }
+}
+
 static void take_raw(struct script *script, struct signals *signals, int64_t now_us) {
     static struct batch batch;
     static struct report report;
@@ -98,7 +155,7 @@ static void take_raw(struct script *script, struct signals *signals, int64_t now
     if (what == 0 && batch_decode(bytes, size, &batch))
         signals_take(signals, &batch, now_us);
     if (what == 1 && logic_decode(bytes, size, &logic))
-        signals_rule(signals, &logic);
+        signals_rule(signals, &logic, FUZZ_SHIFT);
     if (what == 2)
         report_decode(bytes, size, &report);
 }
@@ -153,6 +210,9 @@ static void promise(struct signals *signals) {
     PROMISE(signals->readings.told - signals->readings.kept <= READINGS);
     for (int32_t i = 0; i < signals->graph.count; i++)
         PROMISE(signals->graph.nodes[i].a < SOURCE_OF_NODES + i);
+    for (int32_t i = 0; i < signals->graph.count; i++)
+        PROMISE(signals->graph.nodes[i].kind != NODE_PAST ||
+                (signals->graph.nodes[i].a < SOURCE_OF_INPUTS && signals->graph.nodes[i].low >= 0));
     for (int32_t i = 0; i < REPORT_TRACKS; i++)
         PROMISE(signals->tracks[i].next == 0 ||
                 signals->tracks[i].current < signals->tracks[i].next);
@@ -167,6 +227,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
         return 0;
     memset(&signals, 0, sizeof signals);
     board = begun.board;
+    memset(tracks, 0, sizeof tracks);
     while (script.at < script.size) {
         uint8_t what = next(&script) % 16;
         if (what < 3) {
@@ -175,6 +236,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
             take(&script, &signals, clock.system_us);
         } else if (what < 7) {
             take_raw(&script, &signals, clock.system_us);
+            plan(&script, clock.system_us);
         } else if (what < 8 &&
                    next(&script) % 2) { // the clock steps, which no output lives through
             clock.system_us -= 64 * next(&script);
@@ -192,7 +254,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                 clock.system_us += since_us;
                 clock.count_us += (uint32_t)since_us;
                 board_advance(&board, board.true_us + since_us);
+                signals_recall(&signals, tracks, clock.system_us, FUZZ_SHIFT);
                 signals_step(&signals, &board, &clock, 1000, what != 9);
+                promise_past(&signals, clock.system_us);
                 for (int32_t i = 0; i < REPORT_TRACKS; i++)
                     PROMISE(signals.values[SOURCE_OF_PIECES + i] ==
                             pieces_at(&signals.tracks[i], clock.system_us));

@@ -34,9 +34,21 @@ static void replay_piece_take(void) {
 
 static void replay_piece_at(void) { say_number("value", pieces_at(&pieces, given("time_us"))); }
 
+static void replay_piece_past(void) {
+    int32_t value;
+    if (pieces_past(&pieces, given("time_us"), &value))
+        say_number("value", value);
+    else
+        say("gone");
+}
+
 static void replay_piece_now(void) { say_number("value", pieces_now(&pieces, given("time_us"))); }
 
 static const char *const graph_results[] = {"good", "kind", "missing", "cycle", "limits"};
+
+static int32_t given_shift(void) {
+    return is_given("knot_shift") ? (int32_t)given("knot_shift") : 12;
+}
 
 // Five numbers for each node.
 static int32_t given_nodes(struct logic_node *nodes) {
@@ -52,7 +64,7 @@ static void replay_graph(void) {
     int32_t wrong;
     memset(&graph, 0, sizeof graph);
     graph.count = (uint8_t)given_nodes(graph.nodes);
-    enum graph_result result = graph_check(graph.nodes, graph.count, &wrong);
+    enum graph_result result = graph_check(graph.nodes, graph.count, given_shift(), &wrong);
     say(graph_results[result]);
     say_number("wrong", wrong);
     if (result != GRAPH_GOOD)
@@ -62,6 +74,8 @@ static void replay_graph(void) {
 static void replay_graph_step(void) {
     int32_t values[GRAPH_VALUES] = {0};
     given_list("values", values, SOURCE_OF_NODES);
+    if (is_given("past"))
+        given_list("past", values + SOURCE_OF_NODES, GRAPH_NODES);
     graph_step(&graph, values);
     say_list("nodes", values + SOURCE_OF_NODES, graph.count);
 }
@@ -179,7 +193,7 @@ static struct logic given_logic(void) {
 static void replay_logic_check(void) {
     struct logic logic = given_logic();
     int32_t wrong;
-    say(graph_results[logic_check(&logic, &wrong)]);
+    say(graph_results[logic_check(&logic, given_shift(), &wrong)]);
     say_number("wrong", wrong);
 }
 
@@ -263,6 +277,7 @@ const struct word signal_words[] = {
     {"pieces", replay_pieces},
     {"piece-take", replay_piece_take},
     {"piece-at", replay_piece_at},
+    {"piece-past", replay_piece_past},
     {"piece-now", replay_piece_now},
     {"graph", replay_graph},
     {"graph-step", replay_graph_step},
