@@ -21,7 +21,8 @@ enum graph_source {
     INPUT_SUPPLY,                      // [mV]
     INPUT_STATE,                       // enum device_state
     INPUT_DIGITAL,                     // and three more: the board's digital inputs
-    INPUTS_END = INPUT_DIGITAL + 4,
+    INPUT_LAG = INPUT_DIGITAL + 4,     // of tracks from other boards [ms], see feed.h
+    INPUTS_END,
     SOURCE_OF_NODES = 32,
     GRAPH_VALUES = SOURCE_OF_NODES + GRAPH_NODES,
     SOURCE_UNUSED = 255,
@@ -48,7 +49,7 @@ enum graph_result {
     GRAPH_GOOD,
     GRAPH_KIND,    // there is no such kind
     GRAPH_MISSING, // an input that is not there, or of which nobody keeps the past
-    GRAPH_CYCLE,   // reads itself or a node after it
+    GRAPH_CYCLE,   // reads itself or a node after it; a track of a feed of its own
     GRAPH_LIMITS,  // low is above high; a past that no track reaches back to
 };
 

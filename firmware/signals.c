@@ -9,13 +9,31 @@ void signals_take(struct signals *signals, const struct batch *batch, int64_t no
     readings_seen(&signals->readings, batch->seen);
     for (int32_t i = 0; i < batch->count; i++) {
         const struct batch_piece *sent = &batch->pieces[i];
-        struct pieces *track = &signals->tracks[sent->track - SOURCE_OF_PIECES];
-        enum piece_result result = pieces_take(track, sent->number, &sent->piece, now_us);
+        int32_t at = sent->track - SOURCE_OF_PIECES;
+        struct pieces *track = &signals->tracks[at];
+        bool fed = signals->feeds.fed >> at & 1;
+        enum piece_result result =
+            fed ? PIECE_GAP : pieces_take(track, sent->number, &sent->piece, now_us);
         signals->late += result == PIECE_LATE;
         signals->refused += result != PIECE_LATE && result != PIECE_TAKEN;
         if (track->next != 0)
-            signals->begun |= (uint16_t)(1 << (sent->track - SOURCE_OF_PIECES));
+            signals->begun |= (uint16_t)(1 << at);
     }
+}
+
+bool signals_feed(struct signals *signals, const struct peer_feed *frame, int64_t now_us) {
+    bool good = true, anew;
+    for (int32_t i = 0; i < FEED_TRACKS; i++) {
+        if (!(signals->feeds.fed >> i & 1) || signals->feeds.taken[i].feed != frame->number)
+            continue;
+        good &= feeds_take(&signals->feeds, i, &signals->tracks[i], frame, now_us,
+                           &signals->refused, &signals->late, &anew);
+        if (anew)
+            signals->placed = 0; // its pieces count from 0
+        if (signals->tracks[i].next != 0)
+            signals->begun |= (uint16_t)(1 << i);
+    }
+    return good;
 }
 
 static uint32_t bit(uint8_t source) { return source < SOURCE_OF_NODES ? 1u << source : 0; }
@@ -39,6 +57,8 @@ static uint32_t reads(const struct logic *logic) {
         all |= bit(logic->pwm[i]);
     for (int32_t i = 0; i < logic->triggers; i++)
         all |= bit(logic->trigger[i].source) | bit(logic->trigger[i].condition);
+    for (int32_t i = 0; i < logic->feeds; i++)
+        all |= bit(logic->feed[i].source);
     return all;
 }
 
@@ -77,6 +97,15 @@ void signals_rule(struct signals *signals, const struct logic *logic, int32_t kn
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
     signals->met = edge_triggers(logic);
     signals->placed = 0;
+    uint32_t changed = feeds_rule(&signals->feeds, logic);
+    signals->values[INPUT_LAG] = logic->feds != 0 ? FEED_UNKNOWN_MS : 0; // until a board is heard
+    for (int32_t i = 0; i < FEED_TRACKS; i++) {
+        if (!(changed >> i & 1))
+            continue;
+        memset(&signals->tracks[i], 0, sizeof signals->tracks[i]);
+        signals->values[SOURCE_OF_PIECES + i] = 0;
+        signals->begun &= (uint16_t)~(1 << i);
+    }
 }
 
 void signals_report(struct signals *signals, struct report *report) {
@@ -89,6 +118,7 @@ void signals_report(struct signals *signals, struct report *report) {
         report->next[i] = signals->tracks[i].next;
     report->refused = signals->refused;
     report->late = signals->late;
+    report->gaps = signals->feeds.gaps;
     report->kept = readings->kept;
     report->first = readings_tell(readings, REPORT_READINGS, &count);
     report->count = (uint8_t)count;

@@ -5,7 +5,7 @@
 
 #include "batch.h"
 #include "clock.h"
-#include "logic.h"
+#include "feed.h"
 #include "report.h"
 #include "track.h"
 
@@ -35,13 +35,18 @@ struct signals {
     struct pieces tracks[REPORT_TRACKS];
     struct readings readings;
     int32_t values[GRAPH_VALUES]; // of the last period
+    struct feeds feeds;
 };
 
 // Pieces are taken one by one: one that is refused is missing, and so those after it in its track. One
-// that is late is taken, and counted.
+// that is late is taken, and counted. A track that comes from another board takes none of the host's.
 void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us);
 
-// As a whole or not at all; the same number again changes nothing.
+// What another board gives, for the tracks that the logic has from there. False for what is not about now.
+bool signals_feed(struct signals *signals, const struct peer_feed *frame, int64_t now_us);
+
+// As a whole or not at all; the same number again changes nothing. A track that gets another producer
+// begins anew.
 void signals_rule(struct signals *signals, const struct logic *logic, int32_t knot_shift);
 
 // What is to be told now; it counts as told.

@@ -8,7 +8,7 @@ from test_vectors import INT32_MAX, TIME_MAX, VECTORS, Vector, read
 PIECES, READINGS, NODES, TRIGGERS, BATCH, REPORTED = 32, 128, 16, 4, 64, 48
 PATIENCE = 4
 LONGEST_US = 1 << 30
-NODE, PAST = 32, 6
+NODE, PAST, FEEDS = 32, 6, 4
 
 
 def wrapped(value: int, bits: int = 32) -> int:
@@ -78,7 +78,7 @@ def test_pieces() -> None:
 
 
 def exists(source: int, nodes: int) -> bool:
-    return source < 25 or NODE <= source < NODE + nodes
+    return source < 26 or NODE <= source < NODE + nodes
 
 
 def wrong_node(node: list[int], at: int, nodes: int, shift: int = 12) -> str:
@@ -326,6 +326,31 @@ def check_logic(v: Vector) -> tuple[str, int]:
         if kind != 1 and every == 0:
             return "limits", at
         at += 1
+    return check_feeds(v, at, len(nodes))
+
+
+def check_feeds(v: Vector, at: int, nodes: int) -> tuple[str, int]:
+    feeds, fed = (v.numbers(name) if name in v.given else [] for name in ("feeds", "fed"))
+    own: list[int] = []
+    for kind, source, number, every, _ in fives(feeds):
+        if kind > 1:
+            return "kind", at
+        if not exists(source, nodes):
+            return "missing", at
+        if number in own or every == 0:
+            return "limits", at
+        own.append(number)
+        at += 1
+    tracks: list[int] = []
+    for track, number in zip(fed[::2], fed[1::2], strict=True):
+        if not 5 <= track < 16:
+            return "missing", at
+        if track in tracks:
+            return "limits", at
+        if number in own:
+            return "cycle", at
+        tracks.append(track)
+        at += 1
     return "good", at
 
 
@@ -338,6 +363,13 @@ def write_logic(v: Vector) -> bytes:
     out += bytes(v.numbers("digital")) + bytes(v.numbers("pwm")) + bytes([len(triggers) // 4])
     for i in range(0, len(triggers), 4):
         out += bytes(triggers[i : i + 3]) + triggers[i + 3].to_bytes(2, "little")
+    feeds, fed = (v.numbers(name) if name in v.given else [] for name in ("feeds", "fed"))
+    out += bytes([len(feeds) // 5])
+    for kind, source, *rest in fives(feeds):
+        out += bytes([kind, source]) + b"".join(n.to_bytes(2, "little") for n in rest)
+    out += bytes([len(fed) // 2])
+    for track, number in zip(fed[::2], fed[1::2], strict=True):
+        out += bytes([track]) + number.to_bytes(2, "little")
     return out
 
 
@@ -350,8 +382,15 @@ def read_logic(payload: bytes) -> str:
     triggers = r.number(1)
     check(triggers <= TRIGGERS)
     r.number(5 * triggers)
+    feeds = r.number(1)
+    check(feeds <= FEEDS)
+    r.number(8 * feeds)
+    fed = r.number(1)
+    check(fed <= FEEDS)
+    r.number(3 * fed)
     r.end()
-    return f"nodes={nodes} triggers={triggers} again={payload.hex()}"
+    counts = f"nodes={nodes} triggers={triggers} feeds={feeds} fed={fed}"
+    return f"{counts} again={payload.hex()}"
 
 
 def test_logics() -> None:
@@ -374,12 +413,15 @@ def test_logics() -> None:
     assert results == {"good", "kind", "missing", "cycle", "limits"}
 
 
+REPORT_COUNTS = ("refused", "late", "gaps", "kept", "first")
+
+
 def write_report(v: Vector) -> bytes:
     told = v.numbers("readings")
     out = v.number("logic").to_bytes(4, "little")
     out += bytes([v.number("result"), v.number("wrong")])
     out += b"".join(n.to_bytes(4, "little") for n in v.numbers("next"))
-    out += b"".join(v.number(n).to_bytes(4, "little") for n in ("refused", "late", "kept", "first"))
+    out += b"".join(v.number(n).to_bytes(4, "little") for n in REPORT_COUNTS)
     out += bytes([len(told) // 3])
     base = v.number("base_us") if told else 0
     times = [base + n for n in told[1::3]]
@@ -395,7 +437,7 @@ def read_report(payload: bytes) -> str:
     r = Reader(payload)
     said = f"logic={r.number(4)} result={r.number(1)} wrong={r.number(1)}"
     said += "".join(f" next={r.number(4)}" for _ in range(11))
-    said += f" refused={r.number(4)} late={r.number(4)} kept={r.number(4)} first={r.number(4)}"
+    said += "".join(f" {name}={r.number(4)}" for name in REPORT_COUNTS)
     count = r.number(1)
     check(count <= REPORTED)
     time, value = r.number(8, signed=True), 0

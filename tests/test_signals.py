@@ -216,7 +216,7 @@ class Told:
         self.logic, self.result, self.wrong = logic, result, wrong
         self.kept, self.first = kept, first
         self.readings = [(1000 * n, n, 0) for n in range(first, first + count)]
-        self.refused = self.late = 0
+        self.refused = self.late = self.gaps = 0
         self.next = [0] * 11
 
 

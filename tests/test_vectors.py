@@ -1542,7 +1542,34 @@ def judge_peer_response_decode(v: Vector) -> str:
     return f"{text} lineage={reader.take(4)} settled={reader.take(1) % 2}"
 
 
+def judge_peer_feed_encode(v: Vector) -> str:
+    points = v.numbers("points")
+    body = b"\1\x0f" + little(v.number("number"), 2) + bytes([v.number("steps")])
+    body += bytes([len(points) // 2]) + little(v.number("lineage"), 4)
+    body += little(v.number("time_us"), 8) + b"".join(little(n, 4) for n in points)
+    body += bytes(66 - len(body))
+    return f"frame={(body + tagged(v, body)).hex()}"
+
+
+def judge_peer_feed_decode(v: Vector) -> str:
+    reader = peer_frame(v, 15, 74)
+    if not reader:
+        return "refused"
+    number, flags, count, lineage = (reader.take(n) for n in (2, 1, 1, 4))
+    try:
+        time_us = reader.time()
+    except MalformedError:
+        return "refused"
+    ages = [(reader.take(4), reader.take(4, True)) for _ in range(6)][:count]
+    if not 0 < count <= 6 or any(a <= b for (a, _), (b, _) in pairwise(ages)):
+        return "refused"
+    text = f"number={number} steps={flags % 2} lineage={lineage} time_us={time_us}"
+    return text + "".join(f" at_us={time_us - age} value={value}" for age, value in ages)
+
+
 BYTES |= {
+    "peer-feed-encode": judge_peer_feed_encode,
+    "peer-feed-decode": judge_peer_feed_decode,
     "peer-request-encode": judge_peer_request_encode,
     "peer-request-decode": judge_peer_request_decode,
     "peer-response-encode": judge_peer_response_encode,

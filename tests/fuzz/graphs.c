@@ -1,7 +1,9 @@
 // Fuzz target: signals of a hostile host. Its bytes are a script: logic of any nodes, batches of any
 // pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
 // outputs are off where nothing rules them and as their tracks have them else, the past of a track is
-// what it was or is said not to be there, and what is told can be read.
+// what it was or is said not to be there, a hostile board leaves tracks in order, and what is told and
+// given can be read.
+#include "feed.h"
 #include "node.h"
 #include "script.h"
 
@@ -50,6 +52,17 @@ static void rule(struct script *script, struct signals *signals) {
         logic.trigger[i].condition = next_source(script);
         logic.trigger[i].every = next(script) % 8;
     }
+    logic.feeds = next(script) % (LOGIC_FEEDS + 1);
+    for (int32_t i = 0; i < logic.feeds; i++)
+        logic.feed[i] = (struct feed){.kind = next(script) % (FEED_KINDS + 1),
+                                      .source = next_source(script),
+                                      .number = (uint16_t)(8 + next(script) % 8),
+                                      .every = next(script) % 4,
+                                      .after_us = (uint16_t)(next(script) << 8)};
+    logic.feds = next(script) % (LOGIC_FEEDS + 1);
+    for (int32_t i = 0; i < logic.feds; i++)
+        logic.fed[i] =
+            (struct fed){(uint8_t)(SOURCE_OF_PIECES + next(script) % 12), next(script) % 9};
     uint8_t payload[1000];
     struct logic again;
     int32_t size = logic_encode(&logic, payload, sizeof payload);
@@ -89,6 +102,49 @@ static void take(struct script *script, struct signals *signals, int64_t now_us)
         next(script) % 2 ? PIECE_TIME_MAX : -PIECE_TIME_MAX; // any time, which is refused
     batch.pieces[0].piece.end_us = next_word(script) * (1LL << 32);
     PROMISE(batch_encode(&batch, payload, sizeof payload) <= (int32_t)sizeof payload);
+}
+
+// Another board says anything, often what goes on from before.
+static void hear(struct script *script, struct signals *signals, int64_t now_us) {
+    static int64_t last_us;
+    struct peer_feed feed = {.number = next(script) % 9,
+                             .steps = next(script) % 2,
+                             .count = (uint8_t)(1 + next(script) % PEER_POINTS)};
+    int64_t at_us = next(script) % 2 ? last_us : now_us + 512 * (next(script) - 128);
+    for (int32_t i = 0; i < feed.count; i++) {
+        feed.points[i] = (struct peer_point){at_us, next_word(script)};
+        at_us += 1 + 16 * next(script);
+    }
+    last_us = feed.points[feed.count - 1].time_us;
+    feed.time_us = last_us + next(script);
+    uint8_t frame[PEER_FEED_BYTES];
+    struct peer_feed again;
+    peer_feed_encode(fuzz_key[0], &feed, frame);
+    PROMISE(peer_feed_decode(fuzz_key[0], frame, sizeof frame, &again));
+    bool fresh = llabs(now_us - again.time_us) <= FEED_FRESH_US, fed = false;
+    for (int32_t i = 0; i < FEED_TRACKS; i++)
+        fed |= (signals->feeds.fed >> i & 1) && signals->feeds.taken[i].feed == feed.number;
+    PROMISE(signals_feed(signals, &again, now_us) == (fresh || !fed));
+}
+
+// As neighbours.c does, after each period.
+static void give(struct signals *signals, int64_t time_us) {
+    const struct logic *logic = &signals->logic;
+    uint8_t frame[PEER_FEED_BYTES];
+    struct peer_feed again;
+    if ((logic->feeds | logic->feds) == 0)
+        return;
+    signals->values[INPUT_LAG] = feeds_step(&signals->feeds, logic, signals->values, time_us);
+    PROMISE(signals->values[INPUT_LAG] >= 0);
+    const struct peer_feed *feed = feeds_next(&signals->feeds, logic->feeds);
+    if (!feed)
+        return;
+    peer_feed_encode(fuzz_key[0], feed, frame);
+    PROMISE(peer_feed_decode(fuzz_key[0], frame, sizeof frame, &again));
+    PROMISE(again.count == feed->count);
+    for (int32_t i = 0; i < feed->count; i++)
+        PROMISE(again.points[i].time_us == feed->points[i].time_us &&
+                again.points[i].value == feed->points[i].value);
 }
 
 // Plans that go on from the first track's end, or before it; now and then its first one.
@@ -213,9 +269,13 @@ static void promise(struct signals *signals) {
     for (int32_t i = 0; i < signals->graph.count; i++)
         PROMISE(signals->graph.nodes[i].kind != NODE_PAST ||
                 (signals->graph.nodes[i].a < SOURCE_OF_INPUTS && signals->graph.nodes[i].low >= 0));
-    for (int32_t i = 0; i < REPORT_TRACKS; i++)
-        PROMISE(signals->tracks[i].next == 0 ||
-                signals->tracks[i].current < signals->tracks[i].next);
+    for (int32_t i = 0; i < REPORT_TRACKS; i++) {
+        const struct pieces *track = &signals->tracks[i];
+        PROMISE(track->next == 0 || track->current < track->next);
+        for (uint32_t back = 2; back <= PIECES && back <= track->next; back++)
+            PROMISE(track->ring[(track->next - back) % PIECES].start_us <=
+                    track->ring[(track->next - back + 1) % PIECES].start_us);
+    }
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
@@ -237,6 +297,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
         } else if (what < 7) {
             take_raw(&script, &signals, clock.system_us);
             plan(&script, clock.system_us);
+        } else if (what < 8 && next(&script) % 4 != 0) {
+            hear(&script, &signals, clock.system_us);
         } else if (what < 8 &&
                    next(&script) % 2) { // the clock steps, which no output lives through
             clock.system_us -= 64 * next(&script);
@@ -257,6 +319,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                 signals_recall(&signals, tracks, clock.system_us, FUZZ_SHIFT);
                 signals_step(&signals, &board, &clock, 1000, what != 9);
                 promise_past(&signals, clock.system_us);
+                give(&signals, clock.system_us);
                 for (int32_t i = 0; i < REPORT_TRACKS; i++)
                     PROMISE(signals.values[SOURCE_OF_PIECES + i] ==
                             pieces_at(&signals.tracks[i], clock.system_us));

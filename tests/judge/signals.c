@@ -171,7 +171,7 @@ static void replay_batch_decode(void) {
 
 static struct logic given_logic(void) {
     struct logic logic;
-    int32_t numbers[4 * LOGIC_TRIGGERS + 4];
+    int32_t numbers[5 * LOGIC_FEEDS];
     memset(&logic, 0, sizeof logic);
     logic.number = (uint32_t)given("number");
     logic.nodes = (uint8_t)given_nodes(logic.node);
@@ -187,6 +187,17 @@ static struct logic given_logic(void) {
         logic.trigger[i] =
             (struct trigger){(uint8_t)n[0], (uint8_t)n[1], (uint8_t)n[2], (uint16_t)n[3]};
     }
+    if (is_given("feeds"))
+        logic.feeds = (uint8_t)(given_list("feeds", numbers, 5 * LOGIC_FEEDS) / 5);
+    for (int32_t i = 0; i < logic.feeds; i++) {
+        const int32_t *n = numbers + 5 * i;
+        logic.feed[i] = (struct feed){(uint8_t)n[0], (uint8_t)n[1], (uint16_t)n[2], (uint16_t)n[3],
+                                      (uint16_t)n[4]};
+    }
+    if (is_given("fed"))
+        logic.feds = (uint8_t)(given_list("fed", numbers, 2 * LOGIC_FEEDS) / 2);
+    for (int32_t i = 0; i < logic.feds; i++)
+        logic.fed[i] = (struct fed){(uint8_t)numbers[2 * i], (uint16_t)numbers[2 * i + 1]};
     return logic;
 }
 
@@ -215,6 +226,8 @@ static void replay_logic_decode(void) {
     }
     say_number("nodes", logic.nodes);
     say_number("triggers", logic.triggers);
+    say_number("feeds", logic.feeds);
+    say_number("fed", logic.feds);
     say_bytes("again", again, logic_encode(&logic, again, 1000));
 }
 
@@ -230,6 +243,7 @@ static struct report given_report(void) {
         report.next[i] = (uint32_t)numbers[i];
     report.refused = (uint32_t)given("refused");
     report.late = (uint32_t)given("late");
+    report.gaps = (uint32_t)given("gaps");
     report.kept = (uint32_t)given("kept");
     report.first = (uint32_t)given("first");
     report.count = (uint8_t)(given_list("readings", numbers, 3 * REPORT_READINGS) / 3);
@@ -264,6 +278,7 @@ static void replay_report_decode(void) {
         say_number("next", report.next[i]);
     say_number("refused", report.refused);
     say_number("late", report.late);
+    say_number("gaps", report.gaps);
     say_number("kept", report.kept);
     say_number("first", report.first);
     for (int32_t i = 0; i < report.count; i++) {
