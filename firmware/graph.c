@@ -70,11 +70,13 @@ static int32_t evaluate(const struct logic_node *node, const int32_t *values, in
 }
 
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
-    for (int32_t i = 0; i < graph->count; i++) {
+    uint32_t before = graph->held, held = 0;
+    for (int32_t i = 0; i < graph->count; i++, before >>= 1) {
         const struct logic_node *node = &graph->nodes[i];
-        int32_t value = evaluate(node, values, i, graph->held >> i & 1);
-        bool held = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
-        graph->held = (uint16_t)((graph->held & ~(1u << i)) | (uint32_t)held << i);
+        int32_t value = evaluate(node, values, i, before & 1);
+        bool holds = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
+        held |= (uint32_t)holds << i;
         values[SOURCE_OF_NODES + i] = value;
     }
+    graph->held = (uint16_t)held;
 }
