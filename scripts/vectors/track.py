@@ -161,7 +161,7 @@ def _ring(rng: Random) -> Iterator[str]:
 def _past(rng: Random) -> Iterator[str]:
     """Back to the ring's oldest and the first point, from before and beyond the end; also where a
     plan ends before what was stored."""
-    for start, shift in ((-40, 9), ((1 << 32) - 40, 15)):
+    for start, shift in (((1 << 32) - 40, 12),):
         yield line("blank")
         yield line("track-past", sink="position", time_us=start << shift, knot_shift=shift)
         end, highest = start - 1, start - 1
