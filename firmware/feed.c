@@ -67,7 +67,6 @@ static void give(const struct feed *feed, struct given *given, int32_t value, in
 int32_t feeds_step(struct feeds *feeds, const struct logic *logic, const int32_t *values,
                    int64_t time_us) {
     int64_t most_us = 0;
-    feeds->period_us = time_us;
     for (int32_t i = 0; i < logic->feeds; i++)
         give(&logic->feed[i], &feeds->given[i], values[logic->feed[i].source], time_us);
     for (int32_t i = 0; i < FEED_TRACKS; i++) {

@@ -96,11 +96,12 @@ static uint32_t lineage(const struct device *device) {
 static void feed(struct device *device, struct board *board) {
     struct signals *signals = &device->signals;
     const struct logic *logic = &signals->logic;
-    int64_t time_us = device->clock.system_us;
-    if ((logic->feeds | logic->feds) == 0 || !device->sync.settled || device->sync.stepped)
+    if (!device->sync.settled || device->sync.stepped)
         return;
-    if (time_us != signals->feeds.period_us)
-        signals->values[INPUT_LAG] = feeds_step(&signals->feeds, logic, signals->values, time_us);
+    if (device->clock.count_us != signals->feeds.count_us)
+        signals->values[INPUT_LAG] =
+            feeds_step(&signals->feeds, logic, signals->values, device->clock.system_us);
+    signals->feeds.count_us = device->clock.count_us;
     const struct peer_feed *next = feeds_next(&signals->feeds, logic->feeds);
     if (!next)
         return;

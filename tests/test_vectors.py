@@ -2132,6 +2132,7 @@ class Given:
     every: int
     after: int
     waits: bool = False
+    lag: bool = False
     periods: int = 0
     points: list[tuple[int, int]] = field(default_factory=list)
 
@@ -2171,7 +2172,8 @@ class Asking:
     feeds: list["Given"] = field(default_factory=list)
     fed: list[int] = field(default_factory=list)  # their numbers
     fed_last: int = 0  # the feed that was given last
-    found: int | None = None  # time of the last period that was given
+    found: int | None = None  # count of the last period that was given
+    heard: int = 0  # up to when all is known that it is fed
 
     def begin(self, v: Vector) -> None:
         self.key = v.bytes("key")
@@ -2184,15 +2186,18 @@ class Asking:
         self.known = nothing | {"most_error_ns": INT32_MAX}
         self.open, self.owed = {}, {}
         self.feeds, self.fed, self.fed_last, self.found = [], [], 0, None
+        self.heard = 0
 
     def rule(self, v: Vector) -> None:
         numbers = v.numbers("values")
         values = dict(zip(numbers[::2], numbers[1::2], strict=True))
         reader = Reader(v.bytes("payload"), 5 + 6 + 1)  # no nodes, no triggers
-        self.feeds = [
-            Given(reader.take(1), values[reader.take(1)], *(reader.take(2) for _ in range(3)))
-            for _ in range(reader.take(1))
-        ]
+        self.feeds = []
+        for _ in range(reader.take(1)):
+            kind, source = reader.take(1), reader.take(1)
+            lag = source == 25
+            value = INT32_MAX if lag else values[source]
+            self.feeds.append(Given(kind, value, *(reader.take(2) for _ in range(3)), lag=lag))
         self.fed = [(reader.take(1), reader.take(2))[1] for _ in range(reader.take(1))]
 
     def lineage(self) -> int:
@@ -2200,13 +2205,15 @@ class Asking:
 
     def feed(self) -> bytes | None:
         """The one that is given now."""
-        if not self.known["settled"] or not (self.feeds or self.fed):
+        if not self.known["settled"]:
             return None
         time = int(self.clock.time // 1)
-        if time != self.found:
-            self.found = time
+        if self.clock.count != self.found:
+            self.found = self.clock.count
             for each in self.feeds:
                 each.period(time)
+                if each.lag:  # of this period, for the next one
+                    each.value = max(0, time - self.heard) // 1000
         for _ in self.feeds:
             self.fed_last = (self.fed_last + 1) % len(self.feeds)
             if self.feeds[self.fed_last].waits:
@@ -2284,7 +2291,10 @@ class Asking:
             )
             off_us = abs(int(self.clock.at(self.now) // 1) - Reader(body, 10).time())
             good = count > 0 and self.known["settled"] and lineage == self.lineage()
-            return "taken" if good and (number not in self.fed or off_us <= 100_000) else "refused"
+            good &= number not in self.fed or off_us <= 100_000
+            if good and number in self.fed:
+                self.heard = max(self.heard, Reader(body, 10).time())
+            return "taken" if good else "refused"
         if body[:2] != b"\1\x0b" or len(frame) != 47 or self.open.get(port, (-1, 0))[0] != nonce:
             return "refused"
         reader, asked = Reader(body, 10), self.open.pop(port)[1]
