@@ -202,7 +202,7 @@ def _answers(rng: Random) -> Iterator[str]:
 
 def _feeds(rng: Random) -> Iterator[str]:
     """What a board gives in each period, to all that it knows; and what it takes, of its time."""
-    for start, ports, among in ((5, 0b111, False), (WRAP - 9000, 0b100, True)):
+    for start, ports, among in ((5, 0b11_0110, False), (WRAP - 9000, 0b100, True)):
         board = _Board(rng, start, ports=ports, ask_us=10_000_000, among=among)
         yield board.begin()
         yield board.speak()
@@ -213,7 +213,7 @@ def _feeds(rng: Random) -> Iterator[str]:
             logic = _core.logic_encode(1, [], [], [], [], feeds, [(5, 77)])
             values = [16, value, 17, value % 2]
             yield line("neighbours-logic", payload=logic, values=values)
-            for i in range(7 if among else 3):
+            for i in range(6 if among else 2):
                 board.go(1000)
                 yield board.period(settled=i != 4, lineage=9)
                 yield board.speak()
