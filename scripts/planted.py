@@ -174,13 +174,6 @@ BUGS = (
         "tests/test_stops.py::test_a_stuck_encoder_is_found_by_any_torque",
     ),
     Bug(
-        "a past that is written over",
-        "firmware/track.c",
-        "if (track->oldest <= track->end - TRACK_POINTS)",
-        "if (track->oldest <= track->end - 2 * TRACK_POINTS)",
-        "tests/test_past.py::test_a_track_has_what_it_was_given_or_says_that_it_is_gone",
-    ),
-    Bug(
         "a feed of any day",
         "firmware/feed.c",
         "if (age_us > FEED_FRESH_US || age_us < -FEED_FRESH_US)",
