@@ -1,7 +1,8 @@
-"""What a stage may say: devices that play event streams and ramps in one time (strobe.yaml).
+"""What a stage may say: devices that play event streams and ramps in one time (strobe.yaml), and
+give each other values (gear.yaml).
 
-Names stand for tracks, a device's inputs and its nodes. A node may be written before those that it
-reads; they are sorted, and a cycle is told by the name of a node in it.
+Names stand for tracks, what others feed, a device's inputs and its nodes. A node may be written
+before those that it reads; they are sorted, and a cycle is told by the name of a node in it.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from headway.configs.section import Section
 Int32 = Annotated[int, Field(ge=-(2**31), le=2**31 - 1)]
 Time = Annotated[int, Field(ge=0, le=3_600_000_000)]  # us from the begin of the play
 Count = Annotated[int, Field(ge=1, le=10_000)]
-TRACKS_MAX, NODES_MAX = 11, 16
+TRACKS_MAX, NODES_MAX, FEEDS_MAX, PORTS_MAX = 11, 16, 4, 4
 LONGEST_US = 1 << 30  # of a ramp, see piece.h
 TWO = ("add", "multiply", "gate")  # kinds of nodes that read b
 Period = Annotated[float, Field(ge=1, le=1e9, allow_inf_nan=False)]  # us
 Counts = Annotated[float, Field(ge=-50_000, le=50_000, allow_inf_nan=False)]
 INPUTS = (
     "position", "error", "torque", "supply", "state",
-    "digital0", "digital1", "digital2", "digital3",
+    "digital0", "digital1", "digital2", "digital3", "lag",
 )  # fmt: skip
 
 
@@ -62,16 +63,32 @@ class Track(Section):
 class Node(Section):
     """One value made of others, each servo period."""
 
-    kind: Literal["add", "multiply", "compare", "window", "gate", "edge"]
+    kind: Literal["add", "multiply", "compare", "window", "gate", "edge", "past"]
     a: str
     b: str = ""
     low: Int32 = 0
     high: Int32 = 0
+    by_us: Annotated[int, Field(ge=0, le=2**31 - 1)] | None = None
+    """Of `past`: how long ago."""
+    otherwise: Int32 = 0
+    """Of `past`: its value where the track does not reach back so far."""
 
     @property
     def reads(self) -> tuple[str, ...]:
         """The names of what it reads."""
         return (self.a, self.b) if self.kind in TWO else (self.a,)
+
+
+class Feed(Section):
+    """A value that a device gives the others, over wires between them: for these it is a track."""
+
+    kind: Literal["ramp", "step"] = "ramp"
+    """Straight lines from point to point, or each value until the next."""
+    of: str
+    every: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Servo periods from one frame to the next."""
+    after_us: Annotated[int, Field(ge=0, le=65535)] = 8000
+    """How long after its time a value holds at the others."""
 
 
 class Reading(Section):
@@ -103,7 +120,15 @@ class Player(Section):
     pwm: Annotated[list[str], Field(default_factory=list, max_length=2)]
     nodes: Annotated[dict[str, Node], Field(default_factory=dict, max_length=NODES_MAX)]
     readings: Annotated[list[Reading], Field(default_factory=list, max_length=4)]
+    feeds: Annotated[dict[str, Feed], Field(default_factory=dict, max_length=FEEDS_MAX)]
     sensor: Sensor | None = None
+
+    @property
+    def uses(self) -> set[str]:
+        """The names of all that it reads."""
+        used = {*self.digital, *self.pwm, *(f.of for f in self.feeds.values())}
+        used |= {r for n in self.nodes.values() for r in n.reads}
+        return used | {r for reading in self.readings for r in (reading.read, reading.when)}
 
 
 class Stage(Section):
@@ -115,9 +140,27 @@ class Stage(Section):
     duration_s: Annotated[float, Field(gt=0, le=600)]
     servo_period_us: Annotated[int, Field(ge=100, le=10_000)] = 1000
     wire: Channel = Channel()
+    mesh: Channel = Channel()
+    """The wires between devices of which one reads what the other feeds."""
     sync: Sync = Sync()
     tracks: Annotated[dict[str, Track], Field(max_length=TRACKS_MAX)]
     devices: Annotated[dict[str, Player], Field(min_length=1)]
+
+    @property
+    def feeds(self) -> dict[str, str]:
+        """The feeds' names, and whose they are."""
+        return {feed: name for name, device in self.devices.items() for feed in device.feeds}
+
+    @property
+    def cables(self) -> list[tuple[str, str]]:
+        """Devices of which one reads what the other feeds, each two once."""
+        feeds, found = self.feeds, list[tuple[str, str]]()
+        for name, device in self.devices.items():
+            for feed in sorted(device.uses & set(feeds)):
+                pair = (feeds[feed], name)
+                if pair not in found and pair[::-1] not in found:
+                    found.append(pair)
+        return found
 
 
 def order(nodes: dict[str, Node]) -> list[str]:
@@ -164,7 +207,8 @@ def load_stage(path: Path) -> Stage:
         for problem in error.errors(include_url=False, include_context=False):
             text = problem["msg"].removeprefix("Value error, ")
             if problem["type"] == "extra_forbidden":
-                text = "there is no such key here; configs/strobe.yaml shows those that there are"
+                text = "there is no such key here; those that there are show configs/strobe.yaml"
+                text += " and configs/gear.yaml"
             mistakes.append(mistake(tuple(problem["loc"]), text))
         raise ConfigError(*mistakes) from error
     mistakes += [mistake(key, text) for key, text in _unknown(stage)]
@@ -204,7 +248,9 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
         if name in INPUTS:
             found.append((("tracks", name), "is the name of an input: give it another one"))
     for name, device in stage.devices.items():
-        known = [*stage.tracks, *INPUTS, *device.nodes]
+        others = [feed for feed, owner in stage.feeds.items() if owner != name]
+        past = [*stage.tracks, *others]
+        known = [*past, *INPUTS, *device.nodes]
 
         def check(key: KeyPath, read: str, known: list[str] = known) -> None:
             if read not in known:
@@ -226,6 +272,17 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
                 check((*key, "b"), of.b)
             if of.low > of.high:
                 found.append(((*key, "low"), f"is above high, {of.high}"))
+            if of.kind == "past" and of.a in known and of.a not in past:
+                there = ", ".join(past)
+                text = f"is no track: of nothing else the past is kept; there are: {there}"
+                found.append(((*key, "a"), text))
+            if (of.kind == "past") != (of.by_us is not None):
+                text = "say how long ago: by_us" if of.kind == "past" else "only of kind past"
+                found.append(((*key, "by_us"), text))
+        for key, text in _feeds(stage, name):
+            found.append(((*at, *key), text))
+        for feed, fed in device.feeds.items():
+            check((*at, "feeds", feed, "of"), fed.of)
         for i, reading in enumerate(device.readings):
             check((*at, "readings", i, "read"), reading.read)
             if reading.kind != "interval":
@@ -235,4 +292,28 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
         except ValueError as error:
             text = "reads itself, at once or by way of others: have it read something else"
             found.append(((*at, "nodes", str(error)), text))
+    return found
+
+
+def _feeds(stage: Stage, name: str) -> list[tuple[KeyPath, str]]:
+    """Names of feeds that stand for two things, and more of them than there is room for."""
+    device, found = stage.devices[name], list[tuple[KeyPath, str]]()
+    for feed in device.feeds:
+        taken = [
+            *stage.tracks,
+            *INPUTS,
+            *(node for other in stage.devices.values() for node in other.nodes),
+        ]
+        if feed in taken or stage.feeds[feed] != name:
+            text = "is the name of something else: give it another one"
+            found.append((("feeds", feed), text))
+    fed = device.uses & {feed for feed, owner in stage.feeds.items() if owner != name}
+    if len(fed) > FEEDS_MAX:
+        found.append(((), f"reads {len(fed)} feeds of others: a device takes {FEEDS_MAX}"))
+    if len(stage.tracks) + len(stage.feeds) > TRACKS_MAX:
+        text = f"is a track beyond the {TRACKS_MAX} that a device has"
+        found += [(("feeds", feed), text) for feed in device.feeds]
+    wires = sum(name in cable for cable in stage.cables)
+    if wires > PORTS_MAX:
+        found.append(((), f"is wired to {wires} others by feeds: a board has {PORTS_MAX} ports"))
     return found

@@ -14,12 +14,15 @@ from headway.firmware import _core
 
 Node = tuple[int, int, int, int, int]  # kind, a, b, low, high
 Trigger = tuple[int, int, int, int]  # kind, source, condition, every
+Feed = tuple[int, int, int, int, int]  # kind, source, number, every, after_us
+Fed = tuple[int, int]  # track, number of the feed
 Sent = tuple[int, int, tuple[int | None, int, int | None, int]]  # track, number, piece
 WRONG = {
     "kind": "is of a kind that there is not",
-    "missing": "reads something that is not there",
+    "missing": "reads something that is not there, or whose past nobody keeps",
     "cycle": "reads itself, or a node after it",
-    "limits": "has its low above its high, or no period",
+    "limits": "has its low above its high, no period, a past that no track reaches back to, or the "
+    "number or the track of another one",
 }
 
 
@@ -41,14 +44,16 @@ def event(time_us: int, value: int) -> Piece:
 
 @dataclass(frozen=True)
 class Logic:
-    """Nodes, what outputs follow, what is read and when. Sources are numbers, see graph.h; a node
-    reads nodes before it."""
+    """Nodes, what outputs follow, what is read and when, what other boards are given and which
+    tracks come from them. Sources are numbers, see graph.h; a node reads nodes before it."""
 
     nodes: Sequence[Node] = ()
     digital: Sequence[int] = ()
     pwm: Sequence[int] = ()
     triggers: Sequence[Trigger] = ()
     names: Sequence[str] = ()  # of the nodes, for messages
+    feeds: Sequence[Feed] = ()
+    fed: Sequence[Fed] = ()
 
     def check(self) -> None:
         """Raises ValueError, with the node's name, for what a device would refuse."""
@@ -57,6 +62,8 @@ class Logic:
             ("digital outputs", self.digital, _DIGITAL),
             ("PWM outputs", self.pwm, _OUTPUTS - _DIGITAL),
             ("readings", self.triggers, _TRIGGERS),
+            ("feeds", self.feeds, _core.LOGIC_FEEDS),
+            ("tracks from other boards", self.fed, _core.LOGIC_FEEDS),
         ):
             if len(found) > most:
                 raise ValueError(f"{len(found)} {what}: a device has {most}")
@@ -67,24 +74,43 @@ class Logic:
         for i, source in enumerate(self.pwm):
             _fits(f"output {_DIGITAL + i}", (source,), (_BYTE,))
         for i, trigger in enumerate(self.triggers):
-            _fits(f"reading {i}", trigger, (_BYTE, _BYTE, _BYTE, range(1 << 16)))
-        result, wrong = _core.logic_check(
-            list(self.nodes), list(self.digital), list(self.pwm), list(self.triggers)
-        )
+            _fits(f"reading {i}", trigger, (_BYTE, _BYTE, _BYTE, _HALF))
+        for i, feed in enumerate(self.feeds):
+            _fits(f"feed {i}", feed, (_BYTE, _BYTE, _HALF, _HALF, _HALF))
+        for i, fed in enumerate(self.fed):
+            _fits(f"track from another board {i}", fed, (_BYTE, _HALF))
+        result, wrong = _core.logic_check(*self._lists())
         if result != "good":
             raise ValueError(f"{self.name_of(wrong)} {WRONG[result]}")
 
+    def payload(self, number: int) -> bytes:
+        """Of a LOGIC frame."""
+        return _core.logic_encode(number, *self._lists())
+
+    def _lists(self) -> tuple[
+        list[Node], list[int], list[int], list[Trigger], list[Feed], list[Fed]
+    ]:  # fmt: skip
+        given = self.nodes, self.digital, self.pwm, self.triggers, self.feeds, self.fed
+        nodes, digital, pwm, triggers, feeds, fed = given
+        return list(nodes), list(digital), list(pwm), list(triggers), list(feeds), list(fed)
+
     def name_of(self, wrong: int) -> str:
-        """What a device counts: nodes, then outputs, then readings."""
+        """What a device counts: nodes, then outputs, readings, feeds and tracks that it is fed."""
         if wrong < len(self.nodes):
             return f"node {self.names[wrong] if wrong < len(self.names) else wrong}"
         if wrong < len(self.nodes) + _OUTPUTS:
             return f"output {wrong - len(self.nodes)}"
-        return f"reading {wrong - len(self.nodes) - _OUTPUTS}"
+        wrong -= len(self.nodes) + _OUTPUTS
+        for what, found in (("reading", self.triggers), ("feed", self.feeds)):
+            if wrong < len(found):
+                return f"{what} {wrong}"
+            wrong -= len(found)
+        return f"track from another board {wrong}"
 
 
 _DIGITAL, _OUTPUTS, _TRIGGERS = 4, 6, 4  # see board.h (outputs: also PWM) and logic.h
-_BYTE, _WORD, _TIME = range(1 << 8), range(-(1 << 31), 1 << 31), range(-(1 << 59), (1 << 59) + 1)
+_BYTE, _HALF, _WORD = range(1 << 8), range(1 << 16), range(-(1 << 31), 1 << 31)
+_TIME = range(-(1 << 59), (1 << 59) + 1)
 
 
 def _fits(what: str, numbers: Sequence[int], ranges: Sequence[range]) -> None:
@@ -102,6 +128,7 @@ class Signals:
     lost: int = 0  # readings that the device could not keep
     refused: int = 0  # pieces: what was repeated, too
     late: int = 0  # pieces that came after their start: taken, but not in time
+    gaps: int = 0  # in tracks that come from other boards
     refusal: str | None = None  # of the logic that was sent last, by the device
     _pieces: dict[int, list[Piece]] = field(default_factory=dict)
     _next: dict[int, int] = field(default_factory=dict)
@@ -118,6 +145,8 @@ class Signals:
         if track not in range(_core.SOURCE_OF_PIECES, _core.SOURCE_OF_INPUTS):
             known = f"{_core.SOURCE_OF_PIECES} to {_core.SOURCE_OF_INPUTS - 1}"
             raise ValueError(f"there is no track {track} of pieces: give one of {known}")
+        if self._logic is not None and track in dict(self._logic.fed):
+            raise ValueError(f"track {track} comes from another board: give another one")
         written = self._pieces.get(track, [])
         last = (self._start(written, len(written) - 1), written[-1].end_us) if written else None
         for number, piece in enumerate(pieces, len(written)):
@@ -125,8 +154,13 @@ class Signals:
         self._pieces.setdefault(track, []).extend(pieces)
 
     def rule(self, logic: Logic) -> None:
-        """The logic from now on. Raises ValueError as Logic.check does."""
+        """The logic from now on. Raises ValueError as Logic.check does, and for a track that is to
+        come from another board and has been written here."""
         logic.check()
+        for track, _ in logic.fed:
+            if track in self._pieces:
+                text = "has pieces of the host's, so it cannot come from another board"
+                raise ValueError(f"track {track} {text}")
         self._logic = logic
         self._number += 1
         self.refusal = None
@@ -144,15 +178,7 @@ class Signals:
         """What is to be sent now, sealed."""
         packets = []
         if self._logic is not None and self._answered != self._number:
-            logic = self._logic
-            payload = _core.logic_encode(
-                self._number,
-                list(logic.nodes),
-                list(logic.digital),
-                list(logic.pwm),
-                list(logic.triggers),
-            )
-            packets.append(seal(_core.FRAME_LOGIC, payload))
+            packets.append(seal(_core.FRAME_LOGIC, self._logic.payload(self._number)))
         due = self._due(now_us)
         if due or self._heard:
             self._heard = False
@@ -185,7 +211,7 @@ class Signals:
             good = report.result == "good"
             what = self._logic.name_of(report.wrong)
             self.refusal = None if good else f"{what} {WRONG[report.result]}"
-        self.refused, self.late = report.refused, report.late
+        self.refused, self.late, self.gaps = report.refused, report.late, report.gaps
         for i, number in enumerate(report.next):
             self._next[_core.SOURCE_OF_PIECES + i] = number
         self._apart |= dict(enumerate(report.readings, report.first))

@@ -352,6 +352,9 @@ class Track:
     def copy(self) -> Track: ...
     def write(self, first_knot: int, points: NDArray[np.int32]) -> None: ...
     def points(self, first_knot: int, count: int) -> NDArray[np.int32]: ...
+    def past(self, time_us: int, knot_shift: int) -> int | None:
+        """The value at a past system time; None if it is not there any more or never was."""
+
     def evaluate(
         self, times_us: NDArray[np.int64], knot_shift: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -566,12 +569,18 @@ SOURCE_OF_NODES: int
 SOURCE_UNUSED: int
 INPUTS: list[str]
 NODE_KINDS: list[str]
+FEED_KINDS: list[str]
+LOGIC_FEEDS: int
+FEED_UNKNOWN_MS: int
+FRAME_FEED: int
 TRIGGER_KINDS: list[str]
 
 # Start [us], end [us], first value, last value; what is None goes on from the piece before.
 _Piece = tuple[int | None, int, int | None, int]
 _Node = tuple[int, int, int, int, int]  # kind, a, b, low, high
 _Trigger = tuple[int, int, int, int]  # kind, source, condition, every
+_Feed = tuple[int, int, int, int, int]  # kind, source, number, every, after_us
+_Fed = tuple[int, int]  # track, number of the feed
 
 def batch_encode(base_us: int, seen: int, pieces: list[tuple[int, int, _Piece]]) -> bytes:
     """A SIGNALS payload; a piece with track and number. Raises ValueError if it does not fit."""
@@ -582,14 +591,24 @@ def logic_encode(
     digital: list[int],
     pwm: list[int],
     triggers: list[_Trigger],
+    feeds: list[_Feed] = ...,
+    fed: list[_Fed] = ...,
 ) -> bytes:
     """A LOGIC payload. Raises ValueError for more than a device has."""
 
 def logic_check(
-    nodes: list[_Node], digital: list[int], pwm: list[int], triggers: list[_Trigger]
+    nodes: list[_Node],
+    digital: list[int],
+    pwm: list[int],
+    triggers: list[_Trigger],
+    feeds: list[_Feed] = ...,
+    fed: list[_Fed] = ...,
+    knot_shift: int = 15,
 ) -> tuple[str, int]:
     """What a device would say: "good", or what is wrong and with which; nodes are counted first,
-    then digital outputs, PWM outputs and triggers."""
+    then digital outputs, PWM outputs, triggers, feeds and fed tracks. `knot_shift`: of the device;
+    with the longest knots, 15, tracks of motion reach back the longest. Raises ValueError for one
+    that is none."""
 
 class Report:
     """A READINGS payload, see report.h."""
@@ -606,6 +625,8 @@ class Report:
     def refused(self) -> int: ...
     @property
     def late(self) -> int: ...
+    @property
+    def gaps(self) -> int: ...
     @property
     def kept(self) -> int: ...
     @property
@@ -624,6 +645,9 @@ class Pieces:
     def next(self) -> int: ...
     def take(self, number: int, piece: _Piece, now_us: int) -> str: ...
     def at(self, time_us: int) -> int: ...
+    def past(self, time_us: int) -> int | None:
+        """The same; None where no piece reaches back to."""
+
     def now(self, time_us: int, /) -> int: ...
 
 class Graph:

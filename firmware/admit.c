@@ -60,9 +60,10 @@ enum admission admit_packet(const struct device *device, const uint8_t *packet, 
         return ADMIT_BAD;
     if (port == BOARD_HOST)
         return opens_if(packet[2] != FRAME_HELLO && is_for_us(device, packet, size));
-    return opens_if(
-        device->settings.neighbours & 1 << port &&
-        (size == COBS_BOUND(PEER_REQUEST_BYTES) || size == COBS_BOUND(PEER_RESPONSE_BYTES)));
+    return opens_if(device->settings.neighbours & 1 << port &&
+                    (size == COBS_BOUND(PEER_REQUEST_BYTES) ||
+                     size == COBS_BOUND(PEER_RESPONSE_BYTES) ||
+                     size == COBS_BOUND(PEER_FEED_BYTES)));
 }
 
 // A session with nonces that have never been. False if there is none left in this boot, or if its

@@ -194,6 +194,9 @@ static void run_signals(struct device *device, struct board *board, const struct
         values[INPUT_STATE] = (int32_t)device->state;
         for (int32_t i = 0; i < BOARD_DIGITAL; i++)
             values[INPUT_DIGITAL + i] = inputs >> i & 1;
+        if (reads >> SIGNALS_READ_PAST)
+            signals_recall(signals, device->tracks, device->clock.system_us,
+                           device->settings.knot_shift);
     }
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
     signals_step(signals, board, &device->clock, device->settings.servo_period_us, live);

@@ -37,6 +37,7 @@ enum frame_type {
     FRAME_SIGNALS,        // pieces for tracks, see batch.h
     FRAME_LOGIC,          // what to do with them, see logic.h
     FRAME_READINGS,       // what was sampled, see report.h
+    FRAME_FEED,           // between neighbours: points of a value, see peer.h
 };
 enum frame_error {
     FRAME_OK,

@@ -1,5 +1,6 @@
 #include "graph.h"
 #include "fixed.h" // clamp
+#include "track.h" // its past
 
 static bool reads_two(uint8_t kind) {
     return kind == NODE_ADD || kind == NODE_MULTIPLY || kind == NODE_GATE;
@@ -15,9 +16,20 @@ static enum graph_result check_source(uint8_t source, int32_t at, int32_t count)
     return source >= SOURCE_OF_NODES + at ? GRAPH_CYCLE : GRAPH_GOOD;
 }
 
-static enum graph_result check_node(const struct logic_node *node, int32_t at, int32_t count) {
+// Only tracks have one.
+static enum graph_result check_past(const struct logic_node *node, int32_t knot_shift) {
+    if (node->a >= SOURCE_OF_INPUTS)
+        return GRAPH_MISSING;
+    bool too_long = node->a < SOURCE_OF_PIECES && node->low > TRACK_PAST_KNOTS << knot_shift;
+    return node->low < 0 || too_long ? GRAPH_LIMITS : GRAPH_GOOD;
+}
+
+static enum graph_result check_node(const struct logic_node *node, int32_t at, int32_t count,
+                                    int32_t knot_shift) {
     if (node->kind >= NODE_KINDS)
         return GRAPH_KIND;
+    if (node->kind == NODE_PAST)
+        return check_past(node, knot_shift);
     if (node->low > node->high)
         return GRAPH_LIMITS;
     enum graph_result result = check_source(node->a, at, count);
@@ -26,16 +38,18 @@ static enum graph_result check_node(const struct logic_node *node, int32_t at, i
     return result;
 }
 
-enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int32_t *wrong) {
+enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int32_t knot_shift,
+                              int32_t *wrong) {
     for (*wrong = 0; *wrong < count; ++*wrong) {
-        enum graph_result result = check_node(&nodes[*wrong], *wrong, count);
+        enum graph_result result = check_node(&nodes[*wrong], *wrong, count, knot_shift);
         if (result != GRAPH_GOOD)
             return result;
     }
     return GRAPH_GOOD;
 }
 
-static int32_t evaluate(const struct logic_node *node, const int32_t *values, bool held) {
+static int32_t evaluate(const struct logic_node *node, const int32_t *values, int32_t at,
+                        bool held) {
     int32_t a = values[node->a];
     switch (node->kind) {
     case NODE_ADD:
@@ -48,17 +62,21 @@ static int32_t evaluate(const struct logic_node *node, const int32_t *values, bo
         return a >= node->low && a <= node->high;
     case NODE_GATE:
         return values[node->b] != 0 ? a : 0;
+    case NODE_PAST:
+        return values[SOURCE_OF_NODES + at];
     default: // EDGE
         return a != 0 && !held;
     }
 }
 
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
-    for (int32_t i = 0; i < graph->count; i++) {
+    uint32_t before = graph->held, held = 0;
+    for (int32_t i = 0; i < graph->count; i++, before >>= 1) {
         const struct logic_node *node = &graph->nodes[i];
-        int32_t value = evaluate(node, values, graph->held >> i & 1);
-        bool held = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
-        graph->held = (uint16_t)((graph->held & ~(1u << i)) | (uint32_t)held << i);
+        int32_t value = evaluate(node, values, i, before & 1);
+        bool holds = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
+        held |= (uint32_t)holds << i;
         values[SOURCE_OF_NODES + i] = value;
     }
+    graph->held = (uint16_t)held;
 }

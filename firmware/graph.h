@@ -21,7 +21,8 @@ enum graph_source {
     INPUT_SUPPLY,                      // [mV]
     INPUT_STATE,                       // enum device_state
     INPUT_DIGITAL,                     // and three more: the board's digital inputs
-    INPUTS_END = INPUT_DIGITAL + 4,
+    INPUT_LAG = INPUT_DIGITAL + 4,     // of tracks from other boards [ms], see feed.h
+    INPUTS_END,
     SOURCE_OF_NODES = 32,
     GRAPH_VALUES = SOURCE_OF_NODES + GRAPH_NODES,
     SOURCE_UNUSED = 255,
@@ -34,6 +35,7 @@ enum node_kind {
     NODE_WINDOW,   // low <= a <= high
     NODE_GATE,     // a while b is true, else 0
     NODE_EDGE,     // true in the period in which a turns true
+    NODE_PAST,     // a, a track, `low` microseconds ago; where it does not reach back to, `high`
     NODE_KINDS,
 };
 
@@ -46,9 +48,9 @@ struct logic_node {
 enum graph_result {
     GRAPH_GOOD,
     GRAPH_KIND,    // there is no such kind
-    GRAPH_MISSING, // an input that is not there
-    GRAPH_CYCLE,   // reads itself or a node after it
-    GRAPH_LIMITS,  // low is above high
+    GRAPH_MISSING, // an input that is not there, or of which nobody keeps the past
+    GRAPH_CYCLE,   // reads itself or a node after it; a track of a feed of its own
+    GRAPH_LIMITS,  // low is above high; a past that no track reaches back to
 };
 
 struct graph {
@@ -59,10 +61,12 @@ struct graph {
 
 bool source_exists(uint8_t source, int32_t nodes);
 
-// The first node that is wrong, and why. There are at most GRAPH_NODES.
-enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int32_t *wrong);
+// The first node that is wrong, and why. There are at most GRAPH_NODES. A track of motion reaches back
+// by so many knots as it has points, knots of 2^knot_shift us.
+enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int32_t knot_shift,
+                              int32_t *wrong);
 
-// One servo period: values of tracks and inputs are given, those of the nodes are found.
+// One servo period: values of tracks, inputs and the past are given, those of the other nodes are found.
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]);
 
 #endif

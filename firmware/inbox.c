@@ -177,7 +177,7 @@ static bool take_frame(struct device *device, struct board *board, const uint8_t
         if (!logic_decode(payload, size, &logic))
             return false;
         if (!overtaken(&device->session, frame)) // else one that holds no longer
-            signals_rule(&device->signals, &logic);
+            signals_rule(&device->signals, &logic, device->settings.knot_shift);
         return true;
     case FRAME_GROUP:
         return group_decode(&device->session, frame, size, &device->group);

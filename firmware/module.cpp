@@ -603,6 +603,14 @@ static void bind_kernels(nb::module_ &m) {
                 return array(std::move(points), {n});
             },
             "first_knot"_a, "count"_a)
+        .def(
+            "past",
+            [](const track &t, int64_t time_us, int32_t knot_shift) -> std::optional<int32_t> {
+                instant at = instant_at(time_us, knot_shift);
+                int32_t value;
+                return track_past(&t, &at, &value) ? std::optional(value) : std::nullopt;
+            },
+            "time_us"_a, "knot_shift"_a)
         .def("evaluate", &evaluate, "times_us"_a, "knot_shift"_a);
     m.def("evaluate_tracks", &evaluate_tracks, "tracks"_a, "times_us"_a, "knot_shift"_a,
           "values"_a.noconvert(), "rates"_a.noconvert() = nb::none());

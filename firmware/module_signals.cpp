@@ -17,6 +17,8 @@ using namespace nb::literals;
 using Piece = std::tuple<std::optional<int64_t>, int64_t, std::optional<int32_t>, int32_t>;
 using Node = std::tuple<uint8_t, uint8_t, uint8_t, int32_t, int32_t>;
 using Trigger = std::tuple<uint8_t, uint8_t, uint8_t, uint16_t>;
+using Feed = std::tuple<uint8_t, uint8_t, uint16_t, uint16_t, uint16_t>;
+using Fed = std::tuple<uint8_t, uint16_t>;
 
 static const char *const results[] = {"good", "kind", "missing", "cycle", "limits"};
 static const char *const piece_results[] = {"taken", "gap", "late", "order", "full"};
@@ -49,11 +51,12 @@ static nb::bytes encode_batch(int64_t base_us, uint32_t seen,
 
 static logic logic_of(uint32_t number, const std::vector<Node> &nodes,
                       const std::vector<uint8_t> &digital, const std::vector<uint8_t> &pwm,
-                      const std::vector<Trigger> &triggers) {
+                      const std::vector<Trigger> &triggers, const std::vector<Feed> &feeds,
+                      const std::vector<Fed> &fed) {
     logic l{};
     if (nodes.size() > GRAPH_NODES || digital.size() > BOARD_DIGITAL || pwm.size() > BOARD_PWM ||
-        triggers.size() > LOGIC_TRIGGERS)
-        throw std::invalid_argument("more nodes, outputs or triggers than a device has");
+        triggers.size() > LOGIC_TRIGGERS || feeds.size() > LOGIC_FEEDS || fed.size() > LOGIC_FEEDS)
+        throw std::invalid_argument("more nodes, outputs, triggers or feeds than a device has");
     l.number = number;
     l.nodes = (uint8_t)nodes.size();
     l.triggers = (uint8_t)triggers.size();
@@ -69,6 +72,14 @@ static logic logic_of(uint32_t number, const std::vector<Node> &nodes,
         auto [kind, source, condition, every] = triggers[i];
         l.trigger[i] = {kind, source, condition, every};
     }
+    l.feeds = (uint8_t)feeds.size();
+    l.feds = (uint8_t)fed.size();
+    for (size_t i = 0; i < feeds.size(); i++) {
+        auto [kind, source, number, every, after_us] = feeds[i];
+        l.feed[i] = {kind, source, number, every, after_us};
+    }
+    for (size_t i = 0; i < fed.size(); i++)
+        l.fed[i] = {std::get<0>(fed[i]), std::get<1>(fed[i])};
     return l;
 }
 
@@ -86,32 +97,42 @@ void bind_signals(nb::module_ &m) {
     m.attr("SOURCE_OF_NODES") = (int)SOURCE_OF_NODES;
     m.attr("SOURCE_UNUSED") = (int)SOURCE_UNUSED;
     m.attr("INPUTS") =
-        std::vector<std::string>{"position", "error",    "torque",   "supply",  "state",
-                                 "digital0", "digital1", "digital2", "digital3"};
+        std::vector<std::string>{"position", "error",    "torque",   "supply",   "state",
+                                 "digital0", "digital1", "digital2", "digital3", "lag"};
     m.attr("NODE_KINDS") =
-        std::vector<std::string>{"add", "multiply", "compare", "window", "gate", "edge"};
+        std::vector<std::string>{"add", "multiply", "compare", "window", "gate", "edge", "past"};
+    m.attr("FEED_KINDS") = std::vector<std::string>{"ramp", "step"};
+    m.attr("LOGIC_FEEDS") = LOGIC_FEEDS;
+    m.attr("FEED_UNKNOWN_MS") = FEED_UNKNOWN_MS;
+    m.attr("FRAME_FEED") = (int)FRAME_FEED;
     m.attr("TRIGGER_KINDS") = std::vector<std::string>{"interval", "edge", "window"};
     m.def("batch_encode", &encode_batch, "base_us"_a, "seen"_a, "pieces"_a);
     m.def(
         "logic_encode",
         [](uint32_t number, const std::vector<Node> &nodes, const std::vector<uint8_t> &digital,
-           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers) {
-            logic l = logic_of(number, nodes, digital, pwm, triggers);
+           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers,
+           const std::vector<Feed> &feeds, const std::vector<Fed> &fed) {
+            logic l = logic_of(number, nodes, digital, pwm, triggers, feeds, fed);
             uint8_t payload[1000];
             return nb::bytes((const char *)payload,
                              (size_t)logic_encode(&l, payload, sizeof payload));
         },
-        "number"_a, "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a);
+        "number"_a, "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a, "feeds"_a = std::vector<Feed>(),
+        "fed"_a = std::vector<Fed>());
     m.def(
         "logic_check",
         [](const std::vector<Node> &nodes, const std::vector<uint8_t> &digital,
-           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers) {
-            logic l = logic_of(1, nodes, digital, pwm, triggers);
+           const std::vector<uint8_t> &pwm, const std::vector<Trigger> &triggers,
+           const std::vector<Feed> &feeds, const std::vector<Fed> &fed, int32_t knot_shift) {
+            logic l = logic_of(1, nodes, digital, pwm, triggers, feeds, fed);
             int32_t wrong;
-            std::string result = results[logic_check(&l, &wrong)];
+            if (knot_shift < 9 || knot_shift > 15)
+                throw std::invalid_argument("a knot shift is from 9 to 15");
+            std::string result = results[logic_check(&l, knot_shift, &wrong)];
             return std::make_tuple(result, wrong);
         },
-        "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a);
+        "nodes"_a, "digital"_a, "pwm"_a, "triggers"_a, "feeds"_a = std::vector<Feed>(),
+        "fed"_a = std::vector<Fed>(), "knot_shift"_a = 15);
     nb::class_<report>(m, "Report")
         .def_ro("logic", &report::logic)
         .def_prop_ro("result", [](const report &r) { return std::string(results[r.result % 5]); })
@@ -121,6 +142,7 @@ void bind_signals(nb::module_ &m) {
             [](const report &r) { return std::vector<uint32_t>(r.next, r.next + REPORT_TRACKS); })
         .def_ro("refused", &report::refused)
         .def_ro("late", &report::late)
+        .def_ro("gaps", &report::gaps)
         .def_ro("kept", &report::kept)
         .def_ro("first", &report::first)
         .def_prop_ro("readings", [](const report &r) {
@@ -149,14 +171,21 @@ void bind_signals(nb::module_ &m) {
         .def(
             "at", [](const pieces &p, int64_t time_us) { return pieces_at(&p, time_us); },
             "time_us"_a)
+        .def(
+            "past",
+            [](const pieces &p, int64_t time_us) -> std::optional<int32_t> {
+                int32_t value;
+                return pieces_past(&p, time_us, &value) ? std::optional(value) : std::nullopt;
+            },
+            "time_us"_a)
         .def("now", &pieces_now, "time_us"_a);
     nb::class_<graph>(m, "Graph")
         .def(
             "__init__",
             [](graph *g, const std::vector<Node> &nodes) {
-                logic l = logic_of(1, nodes, {}, {}, {});
+                logic l = logic_of(1, nodes, {}, {}, {}, {}, {});
                 int32_t wrong;
-                if (logic_check(&l, &wrong) != GRAPH_GOOD)
+                if (logic_check(&l, 15, &wrong) != GRAPH_GOOD)
                     throw std::invalid_argument("a node is wrong: ask logic_check");
                 new (g) graph{};
                 g->count = l.nodes;

@@ -13,7 +13,7 @@ _Static_assert(BOARD_PORTS <= SYNC_SOURCES, "each port is a source of its own");
 #define ROUNDED_US 1
 
 static void send(struct board *board, int32_t port, const uint8_t *frame, int32_t size) {
-    uint8_t packet[COBS_BOUND(PEER_RESPONSE_BYTES)];
+    uint8_t packet[COBS_BOUND(PEER_FEED_BYTES)];
     board_send(board, port, packet, cobs_encode(frame, size, packet));
 }
 
@@ -87,6 +87,38 @@ static void keep(struct device *device, struct board *board, int32_t port, uint6
     device->neighbours.demands[port] = demand;
 }
 
+// Where a host gives the time there is no lineage.
+static uint32_t lineage(const struct device *device) {
+    return device->settings.sync.among_boards ? device->sync.lineage : 0;
+}
+
+// What the last servo period has found, while its time can be relied on.
+static void feed(struct device *device, struct board *board) {
+    struct signals *signals = &device->signals;
+    const struct logic *logic = &signals->logic;
+    if (!device->sync.settled || device->sync.stepped)
+        return;
+    if (device->clock.count_us != signals->feeds.count_us)
+        signals->values[INPUT_LAG] =
+            feeds_step(&signals->feeds, logic, signals->values, device->clock.system_us);
+    signals->feeds.count_us = device->clock.count_us;
+    const struct peer_feed *next = feeds_next(&signals->feeds, logic->feeds);
+    if (!next)
+        return;
+    struct peer_feed told = *next;
+    uint8_t frame[PEER_FEED_BYTES];
+    told.lineage = lineage(device);
+    peer_feed_encode(device->settings.peer_key, &told, frame);
+    for (int32_t port = BOARD_HOST + 1; port < BOARD_PORTS; port++)
+        if (device->settings.neighbours & 1 << port)
+            send(board, port, frame, sizeof frame);
+}
+
+static bool take_feed(struct device *device, const struct peer_feed *frame, uint32_t count_us) {
+    return device->sync.settled && frame->lineage == lineage(device) &&
+           signals_feed(&device->signals, frame, clock_at(&device->clock, count_us));
+}
+
 void neighbours_flush(struct device *device) {
     for (int32_t port = 0; port < BOARD_PORTS; port++)
         device->neighbours.demands[port].open = false;
@@ -96,6 +128,7 @@ void neighbours_speak(struct device *device, struct board *board) {
     ask(device, board);
     for (int32_t port = BOARD_HOST + 1; port < BOARD_PORTS; port++)
         answer(device, board, port);
+    feed(device, board);
 }
 
 bool neighbours_take(struct device *device, struct board *board, const uint8_t *frame, int32_t size,
@@ -103,6 +136,7 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
     const struct device_settings *settings = &device->settings;
     struct question *question = &device->neighbours.questions[port];
     struct peer_response response;
+    struct peer_feed points;
     uint64_t nonce;
     if (!(settings->neighbours & 1 << port))
         return false;
@@ -110,6 +144,8 @@ bool neighbours_take(struct device *device, struct board *board, const uint8_t *
         keep(device, board, port, nonce, arrived_us);
         return true;
     }
+    if (peer_feed_decode(settings->peer_key, frame, size, &points))
+        return take_feed(device, &points, count_us);
     if (!peer_response_decode(settings->peer_key, frame, size, &response) || !question->open ||
         response.nonce != question->nonce)
         return false;

@@ -1,4 +1,4 @@
-// The boards beside this one, asked for their time.
+// The boards beside this one, asked for their time, and given and giving values.
 #ifndef HEADWAY_NEIGHBOURS_H
 #define HEADWAY_NEIGHBOURS_H
 
@@ -31,7 +31,8 @@ struct neighbours {
     struct demand demands[BOARD_PORTS];
 };
 
-// Asks all ports that the settings name, once an interval, and answers what they have asked. Pauses
+// Asks all ports that the settings name, once an interval, and answers what they have asked. Gives all of
+// them what the logic says (feed.h), one frame each at a time. Pauses
 // differ at random by up to a quarter, and an answer waits at random for up to the settings'
 // `dither_us`: neither keeps step with anything on the way. To be called as often as may be.
 void neighbours_speak(struct device *device, struct board *board);
@@ -40,7 +41,7 @@ void neighbours_speak(struct device *device, struct board *board);
 // would be, so there will be none.
 void neighbours_flush(struct device *device);
 
-// What came from a neighbour: keeps a request, takes the stamps of a response.
+// What came from a neighbour: keeps a request, takes the stamps of a response or the points of a feed.
 bool neighbours_take(struct device *device, struct board *board, const uint8_t *frame, int32_t size,
                      int32_t port, uint32_t arrived_us, uint32_t count_us);
 

@@ -70,3 +70,43 @@ bool peer_response_decode(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *f
     response->settled = read_uint(&r, 1) & 1;
     return is_time(response->received_us) && is_time(response->sent_us);
 }
+
+void peer_feed_encode(const uint8_t key[SIPHASH_KEY_BYTES], const struct peer_feed *feed,
+                      uint8_t frame[PEER_FEED_BYTES]) {
+    struct writer w = {frame, PEER_FEED_BYTES, 0, false};
+    write_uint(&w, FRAME_VERSION, 1);
+    write_uint(&w, FRAME_FEED, 1);
+    write_uint(&w, feed->number, 2);
+    write_uint(&w, feed->steps, 1);
+    write_uint(&w, feed->count, 1);
+    write_uint(&w, feed->lineage, 4);
+    write_uint(&w, (uint64_t)feed->time_us, 8);
+    for (int32_t i = 0; i < PEER_POINTS; i++) {
+        bool used = i < feed->count;
+        write_uint(&w, used ? (uint32_t)(feed->time_us - feed->points[i].time_us) : 0, 4);
+        write_uint(&w, used ? (uint32_t)feed->points[i].value : 0, 4);
+    }
+    seal(key, &w);
+}
+
+bool peer_feed_decode(const uint8_t key[SIPHASH_KEY_BYTES], const uint8_t *frame, int32_t size,
+                      struct peer_feed *feed) {
+    struct reader r = {frame, size, 2, false};
+    if (!opens(key, frame, size, PEER_FEED_BYTES, FRAME_FEED))
+        return false;
+    feed->number = (uint16_t)read_uint(&r, 2);
+    feed->steps = read_uint(&r, 1) & 1;
+    feed->count = (uint8_t)read_uint(&r, 1);
+    feed->lineage = (uint32_t)read_uint(&r, 4);
+    feed->time_us = (int64_t)read_uint(&r, 8);
+    if (feed->count == 0 || feed->count > PEER_POINTS || !is_time(feed->time_us))
+        return false;
+    for (int32_t i = 0; i < feed->count; i++) {
+        struct peer_point *point = &feed->points[i];
+        point->time_us = feed->time_us - (int64_t)read_uint(&r, 4);
+        point->value = (int32_t)(uint32_t)read_uint(&r, 4);
+        if (i > 0 && point->time_us <= feed->points[i - 1].time_us)
+            return false;
+    }
+    return true;
+}

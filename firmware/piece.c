@@ -17,11 +17,26 @@ static uint32_t oldest(const struct pieces *track) {
     return track->next > PIECES ? track->next - PIECES : 0;
 }
 
+// Starts ascend, so it is found by halves.
+bool pieces_past(const struct pieces *track, int64_t time_us, int32_t *found) {
+    uint32_t first = oldest(track), begun = first, end = track->next;
+    while (begun < end) {
+        uint32_t middle = begun + (end - begun) / 2;
+        if (piece(track, middle)->start_us <= time_us)
+            begun = middle + 1;
+        else
+            end = middle;
+    }
+    if (begun == first)
+        return false;
+    *found = value(piece(track, begun - 1), time_us);
+    return true;
+}
+
 int32_t pieces_at(const struct pieces *track, int64_t time_us) {
-    for (uint32_t number = track->next; number > oldest(track); number--)
-        if (piece(track, number - 1)->start_us <= time_us)
-            return value(piece(track, number - 1), time_us);
-    return 0;
+    int32_t found = 0;
+    pieces_past(track, time_us, &found);
+    return found;
 }
 
 bool pieces_begun(const struct pieces *track, int64_t time_us) {

@@ -45,7 +45,11 @@ enum piece_result pieces_take(struct pieces *track, uint32_t number,
 // it is exact, on the way off by less than 2.
 int32_t pieces_at(const struct pieces *track, int64_t time_us);
 
-// The same, at little cost at a time near that of the last call. The clock may have stepped back.
+// The value at a past time; false, and nothing is found, before the first piece and where pieces are no
+// longer remembered. Of pieces that came late it has what should have been. Six steps at most.
+bool pieces_past(const struct pieces *track, int64_t time_us, int32_t *found);
+
+// The same as pieces_at, at little cost at a time near that of the last call. The clock may have stepped back.
 int32_t pieces_now(struct pieces *track, int64_t time_us);
 
 // Whether the piece that pieces_now found last had begun at its time: there is none before the first.

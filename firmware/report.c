@@ -21,6 +21,7 @@ static void visit(struct fields *f, struct report *report) {
         field_u32(f, &report->next[i]);
     field_u32(f, &report->refused);
     field_u32(f, &report->late);
+    field_u32(f, &report->gaps);
     field_u32(f, &report->kept);
     field_u32(f, &report->first);
     field_u8(f, &report->count);

@@ -2,7 +2,7 @@
 // leaves with each status once a device has heard of any of them.
 //
 //     logic u32, result u8, wrong u8; next u32 of each track of pieces, refused u32
-//     late u32, kept u32, first u32, count u8, base_us i64; each reading: trigger u8, time varint, value varint
+//     late u32, gaps u32, kept u32, first u32, count u8, base_us i64; each reading: trigger u8, time varint, value varint
 //
 // Readings are numbered from 0; what no batch says was seen is told again (reading.h). Before `kept` all
 // were seen or overwritten. Times and values are differences, the first time's from base_us.
@@ -22,6 +22,7 @@ struct report {
     uint32_t next[REPORT_TRACKS]; // number of the piece that is to come
     uint32_t refused;             // pieces, ever
     uint32_t late;                // of those taken: came after their start
+    uint32_t gaps;                // in tracks that come from other boards
     uint32_t kept;                // number of the oldest reading that is left
     uint32_t first;               // number of the first reading here
     uint8_t count;

@@ -9,13 +9,31 @@ void signals_take(struct signals *signals, const struct batch *batch, int64_t no
     readings_seen(&signals->readings, batch->seen);
     for (int32_t i = 0; i < batch->count; i++) {
         const struct batch_piece *sent = &batch->pieces[i];
-        struct pieces *track = &signals->tracks[sent->track - SOURCE_OF_PIECES];
-        enum piece_result result = pieces_take(track, sent->number, &sent->piece, now_us);
+        int32_t at = sent->track - SOURCE_OF_PIECES;
+        struct pieces *track = &signals->tracks[at];
+        bool fed = signals->feeds.fed >> at & 1;
+        enum piece_result result =
+            fed ? PIECE_GAP : pieces_take(track, sent->number, &sent->piece, now_us);
         signals->late += result == PIECE_LATE;
         signals->refused += result != PIECE_LATE && result != PIECE_TAKEN;
         if (track->next != 0)
-            signals->begun |= (uint16_t)(1 << (sent->track - SOURCE_OF_PIECES));
+            signals->begun |= (uint16_t)(1 << at);
     }
+}
+
+bool signals_feed(struct signals *signals, const struct peer_feed *frame, int64_t now_us) {
+    bool good = true, anew;
+    for (int32_t i = 0; i < FEED_TRACKS; i++) {
+        if (!(signals->feeds.fed >> i & 1) || signals->feeds.taken[i].feed != frame->number)
+            continue;
+        good &= feeds_take(&signals->feeds, i, &signals->tracks[i], frame, now_us,
+                           &signals->refused, &signals->late, &anew);
+        if (anew)
+            signals->placed = 0; // its pieces count from 0
+        if (signals->tracks[i].next != 0)
+            signals->begun |= (uint16_t)(1 << i);
+    }
+    return good;
 }
 
 static uint32_t bit(uint8_t source) { return source < SOURCE_OF_NODES ? 1u << source : 0; }
@@ -31,13 +49,16 @@ static uint8_t driven(const uint8_t *sources, int32_t count) {
 static uint32_t reads(const struct logic *logic) {
     uint32_t all = 0;
     for (int32_t i = 0; i < logic->nodes; i++)
-        all |= bit(logic->node[i].a) | bit(logic->node[i].b);
+        all |= logic->node[i].kind == NODE_PAST ? 1u << SIGNALS_READ_PAST
+                                                : bit(logic->node[i].a) | bit(logic->node[i].b);
     for (int32_t i = 0; i < BOARD_DIGITAL; i++)
         all |= bit(logic->digital[i]);
     for (int32_t i = 0; i < BOARD_PWM; i++)
         all |= bit(logic->pwm[i]);
     for (int32_t i = 0; i < logic->triggers; i++)
         all |= bit(logic->trigger[i].source) | bit(logic->trigger[i].condition);
+    for (int32_t i = 0; i < logic->feeds; i++)
+        all |= bit(logic->feed[i].source);
     return all;
 }
 
@@ -56,13 +77,13 @@ static uint8_t edge_triggers(const struct logic *logic) {
     return (uint8_t)all;
 }
 
-void signals_rule(struct signals *signals, const struct logic *logic) {
+void signals_rule(struct signals *signals, const struct logic *logic, int32_t knot_shift) {
     int32_t wrong;
     if (signals->used && logic->number == signals->asked)
         return;
     signals->used = true;
     signals->asked = logic->number;
-    signals->result = (uint8_t)logic_check(logic, &wrong);
+    signals->result = (uint8_t)logic_check(logic, knot_shift, &wrong);
     signals->wrong = (uint8_t)wrong;
     if (signals->result != GRAPH_GOOD)
         return;
@@ -76,6 +97,15 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
     signals->met = edge_triggers(logic);
     signals->placed = 0;
+    uint32_t changed = feeds_rule(&signals->feeds, logic);
+    signals->values[INPUT_LAG] = logic->feds != 0 ? FEED_UNKNOWN_MS : 0; // until a board is heard
+    for (int32_t i = 0; i < FEED_TRACKS; i++) {
+        if (!(changed >> i & 1))
+            continue;
+        memset(&signals->tracks[i], 0, sizeof signals->tracks[i]);
+        signals->values[SOURCE_OF_PIECES + i] = 0;
+        signals->begun &= (uint16_t)~(1 << i);
+    }
 }
 
 void signals_report(struct signals *signals, struct report *report) {
@@ -88,6 +118,7 @@ void signals_report(struct signals *signals, struct report *report) {
         report->next[i] = signals->tracks[i].next;
     report->refused = signals->refused;
     report->late = signals->late;
+    report->gaps = signals->feeds.gaps;
     report->kept = readings->kept;
     report->first = readings_tell(readings, REPORT_READINGS, &count);
     report->count = (uint8_t)count;
@@ -204,6 +235,24 @@ static void switch_off(struct signals *signals, struct board *board,
 
 bool signals_idle(const struct signals *signals) {
     return !signals->used && signals->on == 0 && signals->ahead == 0 && signals->pwm_off == ALL_PWM;
+}
+
+void signals_recall(struct signals *signals, const struct track *tracks, int64_t time_us,
+                    int32_t knot_shift) {
+    for (int32_t i = 0; i < signals->graph.count; i++) {
+        const struct logic_node *node = &signals->graph.nodes[i];
+        int64_t then_us = time_us - node->low;
+        int32_t value = node->high;
+        if (node->kind != NODE_PAST)
+            continue;
+        if (node->a < SOURCE_OF_PIECES) {
+            struct instant then = instant_at(then_us, knot_shift);
+            track_past(&tracks[node->a], &then, &value);
+        } else {
+            pieces_past(&signals->tracks[node->a - SOURCE_OF_PIECES], then_us, &value);
+        }
+        signals->values[SOURCE_OF_NODES + i] = value;
+    }
 }
 
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,

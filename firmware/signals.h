@@ -5,9 +5,11 @@
 
 #include "batch.h"
 #include "clock.h"
-#include "logic.h"
+#include "feed.h"
 #include "report.h"
+#include "track.h"
 
+#define SIGNALS_READ_PAST 31 // bit of `reads`: a node reads a track's past
 #define SIGNALS_AHEAD 5 // servo periods of changes that the board is told ahead: so late one may be
 
 // What every servo period touches comes first: a small core reaches 32 bytes at no cost.
@@ -24,7 +26,7 @@ struct signals {
     uint16_t begun;                // bit i: there are pieces of track i
     uint16_t wait[LOGIC_TRIGGERS]; // periods until its next reading
     uint32_t asked;                // number of the logic that came last
-    uint32_t reads;                // bit i: the logic reads source i, a track or an input
+    uint32_t reads;                // bit i: the logic reads source i, a track or an input, now
     uint32_t refused;              // pieces, ever
     uint32_t late;                 // of those that were taken
     uint32_t told[BOARD_DIGITAL];  // the piece of its track that output i is told of next
@@ -33,17 +35,26 @@ struct signals {
     struct pieces tracks[REPORT_TRACKS];
     struct readings readings;
     int32_t values[GRAPH_VALUES]; // of the last period
+    struct feeds feeds;
 };
 
 // Pieces are taken one by one: one that is refused is missing, and so those after it in its track. One
-// that is late is taken, and counted.
+// that is late is taken, and counted. A track that comes from another board takes none of the host's.
 void signals_take(struct signals *signals, const struct batch *batch, int64_t now_us);
 
-// As a whole or not at all; the same number again changes nothing.
-void signals_rule(struct signals *signals, const struct logic *logic);
+// What another board gives, for the tracks that the logic has from there. False for what is not about now.
+bool signals_feed(struct signals *signals, const struct peer_feed *frame, int64_t now_us);
+
+// As a whole or not at all; the same number again changes nothing. A track that gets another producer
+// begins anew.
+void signals_rule(struct signals *signals, const struct logic *logic, int32_t knot_shift);
 
 // What is to be told now; it counts as told.
 void signals_report(struct signals *signals, struct report *report);
+
+// Values of nodes that read the past of tracks: those of motion, which are given, and those of pieces.
+void signals_recall(struct signals *signals, const struct track *tracks, int64_t time_us,
+                    int32_t knot_shift);
 
 // One servo period at the clock's time. `values` has what is read of tracks of motion and inputs. While
 // it is not `live`, all outputs are off.

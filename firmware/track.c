@@ -7,12 +7,16 @@ int32_t track_point(const struct track *track, int64_t knot) {
 }
 
 void track_write(struct track *track, int64_t first_knot, const int32_t *points, int32_t count) {
-    if (!track->written) // before its first point a track is at that point
+    if (!track->written) { // before its first point a track is at that point
         for (int32_t i = 0; i < TRACK_POINTS; i++)
             track->points[i] = points[0];
+        track->oldest = first_knot;
+    }
     for (int32_t i = 0; i < count; i++)
         track->points[(uint32_t)(first_knot + i) % TRACK_POINTS] = points[i];
     track->end = first_knot + count - 1;
+    if (track->oldest <= track->end - TRACK_POINTS) // those before are written over
+        track->oldest = track->end - TRACK_POINTS + 1;
     track->written = true;
     for (int32_t i = 0; i < 2; i++)
         track_load(track, track->spans[i].knot);
@@ -59,4 +63,11 @@ int32_t track_curve(const struct track *track, const struct instant *at) {
     struct span span;
     find(track, at->knot, &span);
     return span_curve(&span, at->phase);
+}
+
+bool track_past(const struct track *track, const struct instant *at, int32_t *value) {
+    if (!track->written || at->knot <= track->oldest || at->knot > track->end)
+        return false;
+    *value = track_value(track, at);
+    return true;
 }

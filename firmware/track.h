@@ -12,13 +12,15 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define TRACK_POINTS 256 // a power of two: 1.05 s of past and future at 4096 us
+#define TRACK_POINTS 256                    // a power of two: 1.05 s of past and future at 4096 us
+#define TRACK_PAST_KNOTS (TRACK_POINTS - 2) // from a past time to the end, at most
 
 struct track {
     bool written;
     int64_t end; // knot of the last point
     int32_t points[TRACK_POINTS];
     struct span spans[2]; // of two knots, an even one and an odd one
+    int64_t oldest;       // knot of the oldest point that is left of what was written
 };
 
 // A time on the grid: the knot whose interval it is in, and how far in, in 1/65536 of it.
@@ -67,5 +69,10 @@ static inline const struct span *track_span(struct track *track, int64_t knot) {
 int32_t track_value(const struct track *track, const struct instant *at);
 int32_t track_rate(const struct track *track, const struct instant *at);
 int32_t track_curve(const struct track *track, const struct instant *at);
+
+// The value at a past instant; false, and nothing is found, if it is not there any more or never was:
+// before the second of its points that are left, or after its last one. What was live then has not
+// changed since (gate.h), so it is what was executed.
+bool track_past(const struct track *track, const struct instant *at, int32_t *value);
 
 #endif

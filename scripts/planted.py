@@ -174,6 +174,41 @@ BUGS = (
         "tests/test_stops.py::test_a_stuck_encoder_is_found_by_any_torque",
     ),
     Bug(
+        "a feed of any day",
+        "firmware/feed.c",
+        "if (age_us > FEED_FRESH_US || age_us < -FEED_FRESH_US)",
+        "if (age_us < -FEED_FRESH_US)",
+        "tests/test_feeds.py::test_what_is_not_meant_for_a_track_changes_nothing",
+    ),
+    Bug(
+        "a feed of another time",
+        "firmware/neighbours.c",
+        "frame->lineage == lineage(device)",
+        "frame->lineage == frame->lineage",
+        "tests/test_feeds.py::test_what_is_not_meant_for_a_track_changes_nothing",
+    ),
+    Bug(
+        "a feed played again",
+        "firmware/feed.c",
+        "while (i < frame->count && frame->points[i].time_us <= taken->last_us)",
+        "while (i < frame->count - 1)",
+        "tests/test_feeds.py::test_a_step_comes_at_its_moment_and_once",
+    ),
+    Bug(
+        "a gap bridged by a line",
+        "firmware/feed.c",
+        "bool gap = !begins && i < frame->count && !follows;",
+        "bool gap = false;",
+        "tests/test_feeds.py::test_a_gap_holds_the_value_and_the_track_goes_on_behind_it",
+    ),
+    Bug(
+        "a host writes to a track that is fed",
+        "firmware/signals.c",
+        "bool fed = signals->feeds.fed >> at & 1;",
+        "bool fed = false;",
+        "tests/test_feeds.py::test_a_hosts_pieces_for_such_a_track_are_refused_on_both_ends",
+    ),
+    Bug(
         "rest constraint off",
         "controller/ocp.py",
         "        lower = [*equal, *(ca.vec(-limit - value) for value, limit in pairs)]\n"

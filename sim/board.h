@@ -9,7 +9,7 @@
 
 #define BOARD_PACKET_MAX COBS_BOUND(FRAME_MAX)
 #define BOARD_INBOX 16
-#define BOARD_OUTBOX 8
+#define BOARD_OUTBOX 16
 #define BOARD_FLIPS 256 // twice those of all outputs that may wait
 
 struct parcel {

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from headway.configs.stage import INPUTS, TWO, Sensor, Stage, Track, order
 from headway.devices.signals import Logic, Piece, Signals, event
 from headway.firmware import _core
-from headway.sim.boards import Boards, Crystal, Host
+from headway.sim.boards import Boards, Cable, Crystal, End, Host
 from headway.sim.network import Wire
 
 EPOCH_US = 1_700_000_000_000_000
 KNOT_SHIFT = 12
+ASK_US = 16_000  # from one question to a board beside to the next
 STEP_US = 250  # from one look at the outputs to the next
 AFTER_US = 200_000  # that the boards play on, so that the last readings arrive
 
@@ -65,7 +66,21 @@ def board_settings(stage: Stage) -> _core.DeviceSettings:
     settings.sample_every, settings.torque_step_tq = 1, 1
     settings.sync_lost_us, settings.stop_us = 400_000, 300_000
     settings.sync = sync_settings(stage.sync)
+    settings.peer_key, settings.ask_us = bytes(range(50, 66)), ASK_US
     return settings
+
+
+def cables(stage: Stage) -> list[Cable]:
+    """Between devices of which one reads what the other feeds, each by the lowest ports left."""
+    names, rng = list(stage.devices), np.random.default_rng([stage.seed, 1])
+    ports, made = dict.fromkeys(names, 0), []
+    for pair in stage.cables:
+        for name in pair:
+            ports[name] += 1
+        ends = [End(names.index(name), ports[name]) for name in pair]
+        wires = [Wire(stage.mesh, each) for each in rng.spawn(2)]
+        made.append(Cable((ends[0], ends[1]), (wires[0], wires[1])))
+    return made
 
 
 class Play:
@@ -77,6 +92,10 @@ class Play:
         self.names = list(stage.devices)
         rng = np.random.default_rng(stage.seed)
         settings = [board_settings(stage) for _ in self.names]
+        self.cables = cables(stage)
+        for cable in self.cables:
+            for end in cable.ends:
+                settings[end.board].neighbours |= 1 << end.port
         hosts = [
             Host(
                 i,
@@ -93,7 +112,7 @@ class Play:
             Crystal(int(rng.integers(2**32)), round(1000 * d.drift_ppm), 300, 250_000, i)
             for i, d in enumerate(stage.devices.values())
         ]
-        self.boards = Boards(settings, crystals, [], rng, hosts, poll_us=250)
+        self.boards = Boards(settings, crystals, self.cables, rng, hosts, poll_us=250)
         self.widest_us = 0.0  # of what any board told that its clock may be off while it played
         for i, device in enumerate(stage.devices.values()):
             if device.sensor is not None:
@@ -154,8 +173,10 @@ class Play:
 
     def _hand_out(self, index: int, name: str) -> None:
         device, signals = self.stage.devices[name], self.boards.hosts[index].remote.signals
+        number = {feed: i for i, feed in enumerate(self.stage.feeds)}
         nodes = order(device.nodes)
-        source = {t: _core.SOURCE_OF_PIECES + i for i, t in enumerate(self.stage.tracks)}
+        tracks = [*self.stage.tracks, *self.stage.feeds]
+        source = {t: _core.SOURCE_OF_PIECES + i for i, t in enumerate(tracks)}
         source |= {n: _core.SOURCE_OF_INPUTS + i for i, n in enumerate(INPUTS)}
         source |= {n: _core.SOURCE_OF_NODES + i for i, n in enumerate(nodes)}
         made = [
@@ -163,8 +184,7 @@ class Play:
                 _core.NODE_KINDS.index(node.kind),
                 source[node.a],
                 source.get(node.b, 0) if node.kind in TWO else 0,
-                node.low,
-                node.high,
+                *((node.low, node.high) if node.by_us is None else (node.by_us, node.otherwise)),
             )
             for node in (device.nodes[n] for n in nodes)
         ]
@@ -184,12 +204,20 @@ class Play:
                 [source[n] for n in device.pwm],
                 triggers,
                 nodes,
+                [
+                    (
+                        _core.FEED_KINDS.index(f.kind),
+                        source[f.of],
+                        number[feed],
+                        f.every,
+                        f.after_us,
+                    )
+                    for feed, f in device.feeds.items()
+                ],
+                [(source[feed], number[feed]) for feed in number if feed in device.uses],
             )
         )
-        used = {*device.digital, *device.pwm}
-        used |= {r for n in device.nodes.values() for r in n.reads}
-        used |= {r for reading in device.readings for r in (reading.read, reading.when)}
-        for track in used & set(self.stage.tracks):
+        for track in device.uses & set(self.stage.tracks):
             begin_us, end_us = EPOCH_US + self._begin_us, EPOCH_US + self._end_us
             signals.write(source[track], pieces(self.stage.tracks[track], begin_us, end_us))
 

@@ -157,6 +157,7 @@ class Rig:
         self.flying: list[tuple[int, bytes]] = []
         self.statuses: list[_core.Status] = []
         self.payload = b""  # of the last status
+        self.reports: list[_core.Report] = []
         self.faults: list[_core.Fault] | None = None  # as last asked for
         self.encoder: Callable[[int], int] = lambda true_us: 0
 
@@ -210,6 +211,9 @@ class Rig:
                 self.faults = _core.faults_decode(payload)
                 continue
             if kind == _core.FRAME_READINGS:
+                report = _core.report_decode(payload)
+                assert report is not None
+                self.reports.append(report)
                 continue
             assert kind == _core.FRAME_STATUS
             status = _core.status_decode(payload)

@@ -15,7 +15,7 @@ from headway.configs import describe
 from headway.configs.load import ConfigError, load_config
 
 CONFIGS = sorted((Path(__file__).resolve().parent.parent / "configs").glob("*.yaml"))
-CONFIGS = [path for path in CONFIGS if path.stem != "strobe"]  # a stage, not a machine
+CONFIGS = [path for path in CONFIGS if path.stem not in ("strobe", "gear")]  # stages
 TREES = {path.name: YAML(typ="safe").load(path.read_text()) for path in CONFIGS}
 SCHEMA = json.loads(describe.FILES["schema"].read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

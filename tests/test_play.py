@@ -11,7 +11,7 @@ import pytest
 from headway.cli.main import main
 from headway.configs.mistakes.mistake import ConfigError
 from headway.configs.stage import Node, load_stage, order
-from headway.sim.stage import Play
+from headway.sim.stage import Play, wave
 
 ROOT = Path(__file__).resolve().parents[1]
 STROBE = ROOT / "configs" / "strobe.yaml"
@@ -171,19 +171,21 @@ def test_all_that_changes_is_counted(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert figures["readings"][0]["left_over"] is None
     [device] = figures["devices"]
     assert device == {"device": "one", "logic": "good", "settled": True, "refused": 0, "late": 0,
-                      "readings_lost": 0}  # fmt: skip
+                      "gaps": 0, "readings_lost": 0}  # fmt: skip
 
 
 def test_what_is_told_of_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from headway.cli import play
 
     good = {"device": "one", "logic": "good", "settled": True, "refused": 0, "late": 0}
+    good["gaps"] = 0
     assert play._trouble([good]) == ""
     for key, value, text in (
         ("logic", "node a reads itself", "one has refused its logic: node a reads itself"),
         ("refused", 1, "one has not taken all of its tracks"),
         ("settled", False, "one has not taken all of its tracks"),
         ("late", 7, "7 pieces came to one after their start"),
+        ("gaps", 3, "3 gaps were in what other boards fed one"),
     ):
         assert text in play._trouble([good, good | {key: value}])
 
@@ -223,3 +225,76 @@ def test_nodes_are_sorted() -> None:
         for name, a, b in (("x", "y", "z"), ("y", "z", "z"), ("z", "error", "error"))
     }
     assert order(nodes) == ["z", "y", "x"]
+
+
+GEAR = ROOT / "configs" / "gear.yaml"
+
+
+def test_the_gear_follows_from_board_to_board(capsys: pytest.CaptureFixture[str]) -> None:
+    """Against the wave that the wheel's encoder shows, not against what the wheel has told."""
+    stage = load_stage(GEAR)
+    assert stage.cables == [("wheel", "follower")]
+    play = Play(stage)
+    play.run()
+    sensor = stage.devices["wheel"].sensor
+    assert sensor is not None
+    feed = stage.devices["wheel"].feeds["turn"]
+    begin_us = round(stage.settle_s * 1e6)  # the sensor's wave runs in true time
+    speed = 2 * np.pi * (sensor.amplitude + 2 * sensor.second) / sensor.period_us
+    bend = (2 * np.pi / sensor.period_us) ** 2 * (sensor.amplitude + 4 * sensor.second)
+    line = bend * (feed.every * stage.servo_period_us) ** 2 / 8
+    for trigger, share, ago_us in ((0, 1.0, 0), (1, 0.75, 0), (2, 1.0, 40_000)):
+        told = play.readings(1, trigger)
+        told = told[told[:, 0] >= 0]
+        then_us = told[:, 0] - feed.after_us - ago_us + begin_us
+        off = told[:, 1] - share * wave(sensor, then_us.astype(float))
+        assert len(told) > 100 and np.ptp(told[:, 1]) > 25_000
+        assert np.abs(off).max() <= line + speed * (2 * play.widest_us + 4) + 3
+    wheel, follower = (np.array(play.fired[i][0]) for i in (0, 1))
+    assert len(wheel) == len(follower) >= 3
+    late = follower - wheel - stage.devices["wheel"].feeds["passed"].after_us
+    assert np.abs(late).max() <= 2 * play.widest_us + 3
+    assert [play.signals(i).gaps for i in (0, 1)] == [0, 0]
+    assert main(["play", str(GEAR), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["outputs"][1]["off_us"] == np.abs(late).max()
+    assert 0 < figures["readings"][1]["apart"] <= 2 * line + speed * (2 * play.widest_us + 4) + 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "text"),
+    [
+        ("a: turn, b: r", "a: trun, b: r", "devices.follower.nodes.geared.a", "turn, passed"),
+        ("of: mark", "of: turn", "devices.wheel.feeds.passed.of", "there is no 'turn'"),
+        ("digital: [mark]", "digital: [passed]", "devices.wheel.digital.0", "there is no"),
+        ("passed: {kind", "ratio: {kind", "devices.wheel.feeds.ratio", "of something else"),
+        ("passed: {kind", "geared: {kind", "devices.wheel.feeds.geared", "of something else"),
+        ("kind: step, of", "kind: jump, of", "devices.wheel.feeds.passed.kind", "'ramp' or 'step'"),
+        ("after_us: 8000", "after_us: 80000", "devices.wheel.feeds.passed.after_us", "65535"),
+    ],
+)
+def test_mistakes_with_feeds_are_named(
+    tmp_path: Path, old: str, new: str, key: str, text: str
+) -> None:
+    whole = GEAR.read_text()
+    assert whole.count(old) == 1
+    file = tmp_path / "stage.yaml"
+    file.write_text(whole.replace(old, new))
+    with pytest.raises(ConfigError) as error:
+        load_stage(file)
+    assert key in str(error.value) and text in str(error.value)
+
+
+def test_no_device_has_more_wires_or_feeds_than_room(tmp_path: Path) -> None:
+    follower = "{readings: [{kind: interval, read: turn, every: 9}]}"
+    whole = GEAR.read_text() + "".join(f"  f{i}: {follower}\n" for i in range(4))
+    file = tmp_path / "stage.yaml"
+    file.write_text(whole)
+    with pytest.raises(ConfigError, match="wired to 5 others by feeds: a board has 4 ports"):
+        load_stage(file)
+    more = "".join(f"\n      t{i}: {{of: position}}" for i in range(3))
+    file.write_text(
+        GEAR.read_text().replace("    digital: [mark]", f"{more[1:]}\n    digital: [mark]")
+    )
+    with pytest.raises(ConfigError, match=r"devices\.wheel\.feeds"):
+        load_stage(file)

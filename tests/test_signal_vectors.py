@@ -8,7 +8,7 @@ from test_vectors import INT32_MAX, TIME_MAX, VECTORS, Vector, read
 PIECES, READINGS, NODES, TRIGGERS, BATCH, REPORTED = 32, 128, 16, 4, 64, 48
 PATIENCE = 4
 LONGEST_US = 1 << 30
-NODE = 32
+NODE, PAST, FEEDS = 32, 6, 4
 
 
 def wrapped(value: int, bits: int = 32) -> int:
@@ -37,6 +37,9 @@ class Track:
             else first + (last - first) * Fraction(time_us - start, end - start)
         )
 
+    def reaches(self, time_us: int) -> bool:
+        return any(line[0] <= time_us for line in self.lines[-PIECES:])
+
     def take(self, v: Vector) -> str:
         number, now_us = v.number("number"), v.number("now_us")
         start, first = optional(v, "start_us"), optional(v, "from")
@@ -57,7 +60,7 @@ class Track:
 
 
 def test_pieces() -> None:
-    track, results = Track(), set()
+    track, results, gone = Track(), set(), 0
     for v in read(VECTORS / "pieces.txt"):
         if v.word == "pieces":
             track = Track()
@@ -65,20 +68,27 @@ def test_pieces() -> None:
             result = track.take(v)
             assert v.answer == f"{result} next={len(track.lines)}", v
             results.add(result)
+        elif v.word == "piece-past" and not track.reaches(v.number("time_us")):
+            assert v.answer == "gone", v
+            gone += 1
         else:
             value = int(v.answer.partition("=")[2])
             assert abs(value - track.at(v.number("time_us"))) < 2, v
-    assert results == {"taken", "gap", "late", "order", "full"}
+    assert results == {"taken", "gap", "late", "order", "full"} and gone > 50
 
 
 def exists(source: int, nodes: int) -> bool:
-    return source < 25 or NODE <= source < NODE + nodes
+    return source < 26 or NODE <= source < NODE + nodes
 
 
-def wrong_node(node: list[int], at: int, nodes: int) -> str:
+def wrong_node(node: list[int], at: int, nodes: int, shift: int = 12) -> str:
     kind, a, b, low, high = node
-    if kind > 5:
+    if kind > PAST:
         return "kind"
+    if kind == PAST and a > 15:
+        return "missing"
+    if kind == PAST:
+        return "limits" if low < 0 or (a < 5 and low > 254 << shift) else ""
     if low > high:
         return "limits"
     for source in (a, b) if kind in (0, 1, 4) else (a,):
@@ -93,14 +103,14 @@ def fives(numbers: list[int]) -> list[list[int]]:
     return [numbers[i : i + 5] for i in range(0, len(numbers), 5)]
 
 
-def first_wrong(nodes: list[list[int]]) -> tuple[str, int]:
+def first_wrong(nodes: list[list[int]], shift: int = 12) -> tuple[str, int]:
     for at, node in enumerate(nodes):
-        if found := wrong_node(node, at, len(nodes)):
+        if found := wrong_node(node, at, len(nodes), shift):
             return found, at
     return "good", len(nodes)
 
 
-def step(nodes: list[list[int]], held: list[bool], values: list[int]) -> list[int]:
+def step(nodes: list[list[int]], held: list[bool], values: list[int], past: list[int]) -> list[int]:
     known = dict(enumerate(values))
 
     def clip(value: int) -> int:
@@ -116,6 +126,7 @@ def step(nodes: list[list[int]], held: list[bool], values: list[int]) -> list[in
             lambda a, b, low, high, on: int(low <= a <= high),
             lambda a, b, *_: a if b else 0,
             lambda a, b, low, high, on: int(a != 0 and not on),
+            lambda *_, i=i: past[i],
         ][kind](a, b, low, high, held[i])
         held[i] = a != 0 if kind == 5 else value != 0
         known[NODE + i] = value
@@ -130,14 +141,15 @@ def test_graphs() -> None:
     for v in read(VECTORS / "graphs.txt"):
         if v.word == "graph":
             nodes = fives(v.numbers("nodes"))
-            result, at = first_wrong(nodes)
+            result, at = first_wrong(nodes, optional(v, "knot_shift") or 12)
             assert v.answer == f"{result} wrong={at}", v
             results.add(result)
             nodes = nodes if result == "good" else []
             held = [False] * len(nodes)
         else:
+            past = v.numbers("past") if "past" in v.given else []
             got = Vector(0, "", {"nodes": v.answer.partition("=")[2]}, "").numbers("nodes")
-            assert got == step(nodes, held, v.numbers("values")), v
+            assert got == step(nodes, held, v.numbers("values"), past), v
     assert results == {"good", "kind", "missing", "cycle", "limits"}
 
 
@@ -314,6 +326,31 @@ def check_logic(v: Vector) -> tuple[str, int]:
         if kind != 1 and every == 0:
             return "limits", at
         at += 1
+    return check_feeds(v, at, len(nodes))
+
+
+def check_feeds(v: Vector, at: int, nodes: int) -> tuple[str, int]:
+    feeds, fed = (v.numbers(name) if name in v.given else [] for name in ("feeds", "fed"))
+    own: list[int] = []
+    for kind, source, number, every, _ in fives(feeds):
+        if kind > 1:
+            return "kind", at
+        if not exists(source, nodes):
+            return "missing", at
+        if number in own or every == 0:
+            return "limits", at
+        own.append(number)
+        at += 1
+    tracks: list[int] = []
+    for track, number in zip(fed[::2], fed[1::2], strict=True):
+        if not 5 <= track < 16:
+            return "missing", at
+        if track in tracks:
+            return "limits", at
+        if number in own:
+            return "cycle", at
+        tracks.append(track)
+        at += 1
     return "good", at
 
 
@@ -326,6 +363,13 @@ def write_logic(v: Vector) -> bytes:
     out += bytes(v.numbers("digital")) + bytes(v.numbers("pwm")) + bytes([len(triggers) // 4])
     for i in range(0, len(triggers), 4):
         out += bytes(triggers[i : i + 3]) + triggers[i + 3].to_bytes(2, "little")
+    feeds, fed = (v.numbers(name) if name in v.given else [] for name in ("feeds", "fed"))
+    out += bytes([len(feeds) // 5])
+    for kind, source, *rest in fives(feeds):
+        out += bytes([kind, source]) + b"".join(n.to_bytes(2, "little") for n in rest)
+    out += bytes([len(fed) // 2])
+    for track, number in zip(fed[::2], fed[1::2], strict=True):
+        out += bytes([track]) + number.to_bytes(2, "little")
     return out
 
 
@@ -338,8 +382,15 @@ def read_logic(payload: bytes) -> str:
     triggers = r.number(1)
     check(triggers <= TRIGGERS)
     r.number(5 * triggers)
+    feeds = r.number(1)
+    check(feeds <= FEEDS)
+    r.number(8 * feeds)
+    fed = r.number(1)
+    check(fed <= FEEDS)
+    r.number(3 * fed)
     r.end()
-    return f"nodes={nodes} triggers={triggers} again={payload.hex()}"
+    counts = f"nodes={nodes} triggers={triggers} feeds={feeds} fed={fed}"
+    return f"{counts} again={payload.hex()}"
 
 
 def test_logics() -> None:
@@ -362,12 +413,15 @@ def test_logics() -> None:
     assert results == {"good", "kind", "missing", "cycle", "limits"}
 
 
+REPORT_COUNTS = ("refused", "late", "gaps", "kept", "first")
+
+
 def write_report(v: Vector) -> bytes:
     told = v.numbers("readings")
     out = v.number("logic").to_bytes(4, "little")
     out += bytes([v.number("result"), v.number("wrong")])
     out += b"".join(n.to_bytes(4, "little") for n in v.numbers("next"))
-    out += b"".join(v.number(n).to_bytes(4, "little") for n in ("refused", "late", "kept", "first"))
+    out += b"".join(v.number(n).to_bytes(4, "little") for n in REPORT_COUNTS)
     out += bytes([len(told) // 3])
     base = v.number("base_us") if told else 0
     times = [base + n for n in told[1::3]]
@@ -383,7 +437,7 @@ def read_report(payload: bytes) -> str:
     r = Reader(payload)
     said = f"logic={r.number(4)} result={r.number(1)} wrong={r.number(1)}"
     said += "".join(f" next={r.number(4)}" for _ in range(11))
-    said += f" refused={r.number(4)} late={r.number(4)} kept={r.number(4)} first={r.number(4)}"
+    said += "".join(f" {name}={r.number(4)}" for name in REPORT_COUNTS)
     count = r.number(1)
     check(count <= REPORTED)
     time, value = r.number(8, signed=True), 0

@@ -21,7 +21,7 @@ NODE = _core.SOURCE_OF_NODES
 POSITION = _core.SOURCE_OF_INPUTS
 STATE = _core.SOURCE_OF_INPUTS + _core.INPUTS.index("state")
 DIGITAL = _core.SOURCE_OF_INPUTS + _core.INPUTS.index("digital0")
-ADD, MULTIPLY, COMPARE, WINDOW, GATE, EDGE = range(len(_core.NODE_KINDS))
+ADD, MULTIPLY, COMPARE, WINDOW, GATE, EDGE, PAST = range(len(_core.NODE_KINDS))
 INTERVAL, ON_EDGE, IN_WINDOW = range(len(_core.TRIGGER_KINDS))
 INT32_MAX = 2**31 - 1
 words = st.integers(-INT32_MAX - 1, INT32_MAX)
@@ -152,7 +152,14 @@ def test_nodes_of_one_value(values: list[int]) -> None:
         (Logic([(9, 0, 0, 0, 0)]), "node 0 is of a kind that there is not"),
         (Logic([(WINDOW, 0, 0, 3, 2)]), "node 0 has its low above its high"),
         (Logic([(EDGE, 0, 200, 0, 0)], [TRACK, 31]), "output 1 reads something that is not there"),
-        (Logic(triggers=[(INTERVAL, 0, 99, 0)]), "reading 0 has its low above its high, or no"),
+        (Logic(triggers=[(INTERVAL, 0, 99, 0)]), "reading 0 has its low above its high, no"),
+        (
+            Logic([(PAST, STATE, 0, 1, 0)]),
+            "node 0 reads something that is not there, or whose past",
+        ),
+        (Logic([(EDGE, 0, 0, 0, 0), (PAST, NODE, 0, 1, 0)]), "node 1 reads something that is not"),
+        (Logic([(PAST, 0, 0, (254 << 15) + 1, 0)]), "node 0 has .* a past that no track reaches"),
+        (Logic([(PAST, TRACK, 0, -1, 0)]), "node 0 has .* a past that no track reaches back to"),
         (Logic(triggers=[(ON_EDGE, 0, 99, 0)]), "reading 0 reads something that is not there"),
         (Logic(triggers=[(5, 0, 0, 1)]), "reading 0 is of a kind that there is not"),
         (Logic([(ADD, 0, 0, 0, 2**40)], names=["sum"]), "node sum has 1099511627776, which is not"),
@@ -209,7 +216,7 @@ class Told:
         self.logic, self.result, self.wrong = logic, result, wrong
         self.kept, self.first = kept, first
         self.readings = [(1000 * n, n, 0) for n in range(first, first + count)]
-        self.refused = self.late = 0
+        self.refused = self.late = self.gaps = 0
         self.next = [0] * 11
 
 

@@ -20,6 +20,7 @@ READERS = {
     "welcome-decode": (11, "frame"),
     "peer-request-decode": (12, "frame"),
     "peer-response-decode": (12, "frame"),
+    "peer-feed-decode": (12, "frame"),
     "group-decode": (13, "frame"),
 }
 

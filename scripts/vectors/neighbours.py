@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from line import Value, line
-from peer import request, response
+from peer import feed, request, response
 
 from headway.firmware import _core
 
@@ -31,6 +31,7 @@ class _Board:
     dither_us: int = 0
     rate_q32: int = 0
     own: int = 7  # its number
+    among: bool = False  # its time is the boards' own
     key: bytes = field(default_factory=lambda: bytes(range(16)))
 
     def begin(self) -> str:
@@ -38,6 +39,7 @@ class _Board:
             "neighbours", count_us=self.count, base_us=EPOCH_US - self.count,
             rate_q32=self.rate_q32, id=self.own, ports=self.ports, ask_us=self.ask_us,
             dither_us=self.dither_us, peer_least_us=self.rng.randrange(1_000_001), key=self.key,
+            **({"among": 1} if self.among else {}),
         )  # fmt: skip
 
     def go(self, elapsed_us: int) -> None:
@@ -198,9 +200,55 @@ def _answers(rng: Random) -> Iterator[str]:
                 yield board.speak()
 
 
+def _feeds(rng: Random) -> Iterator[str]:
+    """What a board gives in each period, to all that it knows; and what it takes, of its time."""
+    for start, ports, among in ((5, 0b11_0110, False), (WRAP - 9000, 0b100, True)):
+        board = _Board(rng, start, ports=ports, ask_us=10_000_000, among=among)
+        yield board.begin()
+        yield board.speak()
+        yield board.period()
+        yield board.speak()  # there is no logic
+        for every, value in ((1, 5), (3, -(1 << 30))):
+            feeds = [(0, 16, 300 + every, every, 4000), (1, 17, 9, 2, 65_535)]
+            logic = _core.logic_encode(1, [], [], [], [], feeds, [(5, 77)])
+            values = [16, value, 17, value % 2]
+            yield line("neighbours-logic", payload=logic, values=values)
+            for i in range(6 if among else 2):
+                board.go(1000)
+                yield board.period(settled=i != 4, lineage=9)
+                yield board.speak()
+                yield board.speak()  # in between: the other one, and then none
+                yield board.speak()
+        now_us = EPOCH_US - start + board.count
+        for number, lineage, off_us in (
+            (77, 0, 0), (77, 9, 0), (78, 0, 0), (78, 9, 0), (77, 9 * among, 100_000),
+            (77, 9 * among, 100_001), (77, 9 * among, -100_000), (77, 9 * among, -100_001),
+        ):  # fmt: skip
+            frame = feed(board.key, number, 1, lineage, now_us + off_us, [(0, 3)])
+            yield board.take(2, frame)
+        yield board.take(2, feed(board.key, 77, 1, 9 * among, now_us, [(0, 3)], 0))
+        yield board.take(1, feed(board.key, 77, 1, 9 * among, now_us, [(0, 3)]))
+        yield board.take(2, feed(bytes(16), 77, 1, 9 * among, now_us, [(0, 3)]))
+        logic = _core.logic_encode(1, [], [], [], [], [(0, 25, 5, 1, 0)], [(5, 77)])
+        yield line("neighbours-logic", payload=logic, values=[16, 0])
+        for _ in range(3):  # how long ago all was known
+            board.go(60_000)
+            yield board.period()
+            yield board.speak()
+        yield board.period(settled=False)
+        yield board.take(2, feed(board.key, 77, 1, 9 * among, now_us, [(0, 3)]))
+        yield line(
+            "neighbours-logic", payload=_core.logic_encode(1, [], [], [], []), values=[16, 0]
+        )
+        board.go(1000)
+        yield board.period()
+        yield board.speak()
+
+
 def neighbours(rng: Random) -> Iterator[str]:
     """Pauses, questions, answers and what becomes of those of others."""
     yield from _pauses(rng)
     yield from _questions(rng)
     yield from _demands(rng)
     yield from _answers(rng)
+    yield from _feeds(rng)

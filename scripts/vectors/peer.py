@@ -11,7 +11,8 @@ from line import line
 from headway.firmware import _core
 
 PEER = 4  # the label under which these frames are hashed
-REQUEST, RESPONSE = 10, 11
+REQUEST, RESPONSE, FEED = 10, 11, 15
+POINTS = 6  # of a feed, in a frame
 TIME_MAX = 1 << 60
 LAYOUT = "<QqqiiIB"
 WRAP = 1 << 32
@@ -76,6 +77,44 @@ def peers(rng: Random) -> Iterator[str]:
             yield line("peer-response-decode", key=key, frame=response(key, 9, *row))
     for frame in _broken(response(key, nonce, *rows[1]), key):
         yield line("peer-response-decode", key=key, frame=frame)
+    yield from _feeds(rng, key, other)
+
+
+def feed(key: bytes, number: int, flags: int, lineage: int, time_us: int,
+         points: list[tuple[int, int]], count: int | None = None) -> bytes:  # fmt: skip
+    """Points: how long before `time_us`, and the value."""
+    count = len(points) if count is None else count
+    body = bytes([1, FEED]) + struct.pack("<HBBIq", number, flags, count, lineage, time_us)
+    filled = points + [(0, 0)] * (POINTS - len(points))
+    return sealed(key, body + b"".join(struct.pack("<Ii", *point) for point in filled))
+
+
+def _feeds(rng: Random, key: bytes, other: bytes) -> Iterator[str]:
+    top = (1 << 31) - 1
+    for count in range(1, POINTS + 1):
+        number, lineage = rng.choice((0, 1, 65535)), rng.choice((0, 5, WRAP - 1))
+        time_us, steps = rng.choice((0, TIME_MAX, -TIME_MAX, 1_700_000_000_000_000)), count % 2
+        ages = sorted({rng.randrange(top) for _ in range(count)}, reverse=True)
+        points = [(age, rng.choice((0, 1, -1, top, -top - 1))) for age in ages]
+        yield line("peer-feed-encode", key=key, number=number, steps=steps, lineage=lineage,
+                   time_us=time_us, points=[n for point in points for n in point])  # fmt: skip
+        frame = feed(key, number, steps, lineage, time_us, points)
+        yield line("peer-feed-decode", key=key, frame=frame)
+        yield line("peer-feed-decode", key=other, frame=frame)
+    usual = [(9, 1), (8, -2), (0, 3)]
+    for ages in ([0], [WRAP - 1], [WRAP - 1, 0], [5, 5], [4, 5], [5, 4], [9, 8, 8], [9, 8, 9]):
+        whole = feed(key, 7, 0, 0, 77, [(age, age % 7) for age in ages])
+        yield line("peer-feed-decode", key=key, frame=whole)
+    for count in (0, 1, 3, POINTS, POINTS + 1, 255):
+        frame = feed(key, 7, 0, 0, 77, [(60 - 9 * i, i) for i in range(POINTS)], count)
+        yield line("peer-feed-decode", key=key, frame=frame)
+    for flags in (2, 3, 255):  # only the lowest bit says something
+        yield line("peer-feed-decode", key=key, frame=feed(key, 7, flags, 0, 77, usual))
+    for time_us in (TIME_MAX, TIME_MAX + 1, -TIME_MAX, -TIME_MAX - 1, 2**63 - 1, -(2**63)):
+        yield line("peer-feed-decode", key=key, frame=feed(key, 7, 1, 0, time_us, usual))
+    broken = list(_broken(feed(key, 7, 1, 3, 77, usual), key))
+    for frame in (*broken[::24], *broken[-11:]):
+        yield line("peer-feed-decode", key=key, frame=frame)
 
 
 def lineages(rng: Random) -> Iterator[str]:

@@ -7,11 +7,12 @@ from random import Random
 
 from line import line
 
-PIECES, READINGS, NODES, TRIGGERS = 32, 128, 16, 4
+PIECES, READINGS, NODES, TRIGGERS, FEEDS = 32, 128, 16, 4, 4
 LONGEST_US, TIME_MAX = 1 << 30, 1 << 60
 TOP = (1 << 31) - 1
 EDGES = (-TOP - 1, -TOP, -65536, -1, 0, 1, 2, 65535, 65536, TOP)
-KINDS, INPUTS, NODE = 6, range(16, 25), 32
+KINDS, PAST, INPUTS, NODE = 7, 6, range(16, 26), 32
+PAST_KNOTS = 254  # that a track of motion reaches back
 TWO = (0, 1, 4)  # kinds that read b: add, multiply, gate
 
 
@@ -21,6 +22,7 @@ def pieces(rng: Random) -> Iterator[str]:
         for first, last in ((0, 0), (0, 1000), (-TOP - 1, TOP), (TOP, -TOP - 1), (5, -6)):
             yield line("pieces")
             yield line("piece-at", time_us=0)
+            yield line("piece-past", time_us=0)
             yield line("piece-now", time_us=0)
             yield line("piece-take", number=0, start_us=100, end_us=100 + took,
                        **{"from": first}, to=last, now_us=100)  # fmt: skip
@@ -28,6 +30,7 @@ def pieces(rng: Random) -> Iterator[str]:
             for time_us in sorted({99, 100, 101, 99 + took, 100 + took, 101 + took}
                                   | {100 + i for i in inside}):  # fmt: skip
                 yield line("piece-at", time_us=time_us)
+                yield line("piece-past", time_us=time_us)
                 yield line("piece-now", time_us=time_us)
     yield from _left_out()
     yield from _refused()
@@ -74,6 +77,7 @@ def _ring(rng: Random) -> Iterator[str]:
         yield line("piece-take", number=PIECES, start_us=900, end_us=950, to=3, now_us=now_us)
     for time_us in (0, 4, 9, 10, 12, 25, 299, 315, 899, 925, 999):
         yield line("piece-at", time_us=time_us)
+        yield line("piece-past", time_us=time_us)
         yield line("piece-now", time_us=time_us)
     at = now_us = 1000
     for number in range(PIECES + 1, PIECES + 100):
@@ -84,6 +88,8 @@ def _ring(rng: Random) -> Iterator[str]:
         )
         if rng.random() < 0.4:
             yield line("piece-now", time_us=now_us)
+            for _ in range(2):
+                yield line("piece-past", time_us=now_us - rng.randrange(1000))
     yield line("piece-at", time_us=0)
     yield line("piece-now", time_us=1 << 50)
 
@@ -91,12 +97,12 @@ def _ring(rng: Random) -> Iterator[str]:
 def _node(rng: Random, at: int) -> list[int]:
     a, b = (rng.choice([*range(4), *INPUTS, *range(NODE, NODE + at)]) for _ in range(2))
     low, high = sorted(rng.choice(EDGES) for _ in range(2))
-    return [rng.randrange(KINDS), a, b, low, high]
+    return [rng.randrange(PAST), a, b, low, high]
 
 
 def graphs(rng: Random) -> Iterator[str]:
     """Every kind with every edge, hystereses on their way, and all that can be wrong."""
-    for kind in range(KINDS):
+    for kind in range(PAST):
         for low, high in ((0, 0), (-1, 1), (-TOP - 1, TOP), (2, 65535)):
             yield line("graph", nodes=[kind, 0, 1, low, high])
             for _ in range(14):
@@ -115,16 +121,36 @@ def graphs(rng: Random) -> Iterator[str]:
             nodes = [n for at in range(count) for n in _node(rng, at)]
             yield line("graph", nodes=nodes)
             for _ in range(6):
-                yield line("graph-step", values=[rng.choice(EDGES) for _ in range(25)])
+                yield line("graph-step", values=[rng.choice(EDGES) for _ in range(26)])
     good = [5, 0, 0, 0, 0]
     for wrong in (
-        [KINDS, 0, 0, 0, 0], [255, 0, 0, 0, 0], [0, 25, 0, 0, 0], [0, 0, 31, 0, 0],
+        [KINDS, 0, 0, 0, 0], [255, 0, 0, 0, 0], [0, 26, 0, 0, 0], [0, 0, 31, 0, 0],
         [0, 32, 0, 0, 0], [0, 0, 33, 0, 0], [0, 34, 0, 0, 0], [0, 0, 48, 0, 0], [5, 33, 99, 0, 0],
-        [3, 0, 99, 1, 0], [2, 0, 99, 1, 1], [4, 0, 33, 0, 0], [1, 0, 25, 0, 0], [5, 255, 0, 0, 0],
+        [3, 0, 99, 1, 0], [2, 0, 99, 1, 1], [4, 0, 33, 0, 0], [1, 0, 26, 0, 0], [5, 255, 0, 0, 0],
         [KINDS, 99, 99, 1, 0], [0, 99, 33, 1, 0],
     ):  # fmt: skip
         for nodes in (wrong, good + wrong, wrong + good, good + good + wrong):
             yield line("graph", nodes=nodes)
+    yield from _past_nodes(rng)
+
+
+def _past_nodes(rng: Random) -> Iterator[str]:
+    """Of every source, as long ago as can be and longer, and read by others; b says nothing."""
+    for shift in (9, 15):
+        longest = PAST_KNOTS << shift
+        for a in (0, 4, 5, 15, 16, NODE, 255):
+            for ago in (0, longest, longest + 1, TOP, -1):
+                yield line("graph", nodes=[PAST, a, 99, ago, -5], knot_shift=shift)
+    for _ in range(4):
+        at = rng.randrange(1, 5)
+        others = [n for i in range(at) for n in _node(rng, i)]
+        past = [PAST, rng.randrange(16), 0, rng.randrange(1000), rng.choice(EDGES)]
+        nodes = [*others, *past, 0, NODE + at, 0, 0, 0, 5, NODE + at, 0, 0, 0]
+        yield line("graph", nodes=nodes)
+        for _ in range(4):
+            before = [0] * at + [rng.choice(EDGES)]
+            values = [rng.choice(EDGES) for _ in range(26)]
+            yield line("graph-step", values=values, past=before)
 
 
 def readings(rng: Random) -> Iterator[str]:
@@ -237,15 +263,16 @@ def logics(rng: Random) -> Iterator[str]:
              "triggers": [0, 16, 99, 1, 1, 17, 32, 0, 2, 33, 24, 7]}  # fmt: skip
     yield line("logic-check", number=1, **usual)
     for key, at, value in (
-        ("nodes", 5, 6), ("nodes", 6, 33), ("digital", 0, 34), ("digital", 3, 25),
-        ("digital", 3, 254), ("pwm", 0, 31), ("pwm", 1, 26), ("triggers", 0, 3),
-        ("triggers", 1, 25),
+        ("nodes", 5, 7), ("nodes", 6, 33), ("digital", 0, 34), ("digital", 3, 26),
+        ("digital", 3, 254), ("pwm", 0, 31), ("pwm", 1, 27), ("triggers", 0, 3),
+        ("triggers", 1, 26),
         ("triggers", 3, 0), ("triggers", 5, 34), ("triggers", 6, 255), ("triggers", 8, 3),
         ("triggers", 9, 30), ("triggers", 10, 99), ("triggers", 11, 0), ("triggers", 7, 9),
     ):  # fmt: skip
         changed = {name: list(values) for name, values in usual.items()}
         changed[key][at] = value
         yield line("logic-check", number=1, **changed)
+    yield from _fed(usual)
     for nodes in (0, 1, NODES):
         for triggers in (0, 1, TRIGGERS):
             sized = {
@@ -255,19 +282,40 @@ def logics(rng: Random) -> Iterator[str]:
                 "triggers": [rng.randrange(3) for _ in range(4 * triggers)],
             }
             yield line("logic-check", number=2, **sized)
-            size = 5 + 11 * nodes + 7 + 5 * triggers
+            size = 5 + 11 * nodes + 7 + 5 * triggers + 2
             for capacity in (1000, size, size - 1, 4, 0):
                 yield line(
                     "logic-encode", number=rng.randrange(1 << 32), capacity=capacity, **sized
                 )
     whole = bytes([1, 2, 3, 4, 1, 9, 8, 7, *range(8), *range(6), 2, *range(10)])
+    whole += bytes([1, *range(8), 2, *range(6)])
     yield line("logic-decode", payload=whole)
     for size in range(len(whole)):
         yield line("logic-decode", payload=whole[:size])
     yield line("logic-decode", payload=whole + b"\1")
     for nodes, triggers in ((NODES, TRIGGERS), (NODES + 1, 0), (0, TRIGGERS + 1), (0, 0)):
         body = bytes(4) + bytes([nodes]) + bytes(11 * nodes + 6) + bytes([triggers])
-        yield line("logic-decode", payload=body + bytes(5 * triggers))
+        yield line("logic-decode", payload=body + bytes(5 * triggers + 2))
+
+
+def _fed(usual: dict[str, list[int]]) -> Iterator[str]:
+    """Feeds and tracks that are fed: each wrong in one place, and all good."""
+    both = {"feeds": [0, 16, 7, 4, 9000, 1, 33, 65535, 1, 0], "fed": [5, 8, 15, 8]}
+    yield line("logic-check", number=1, **usual, **both)
+    for key, at, value in (
+        ("feeds", 0, 2), ("feeds", 1, 26), ("feeds", 6, 34), ("feeds", 3, 0), ("feeds", 7, 7),
+        ("feeds", 8, 0), ("fed", 0, 4), ("fed", 2, 16), ("fed", 2, 5), ("fed", 1, 7),
+        ("fed", 3, 65535), ("fed", 3, 9), ("feeds", 4, 65535),
+    ):  # fmt: skip
+        changed = {name: list(values) for name, values in both.items()}
+        changed[key][at] = value
+        yield line("logic-check", number=1, **usual, **changed)
+    size = 5 + 22 + 7 + 15 + 1 + 16 + 1 + 6
+    for capacity in (1000, size, size - 1):
+        yield line("logic-encode", number=9, capacity=capacity, **usual, **both)
+    for feeds, fed in ((FEEDS, FEEDS), (FEEDS + 1, 0), (0, FEEDS + 1)):
+        body = bytes(5 + 6 + 1) + bytes([feeds]) + bytes(8 * feeds) + bytes([fed])
+        yield line("logic-decode", payload=body + bytes(3 * fed))
 
 
 def reports(rng: Random) -> Iterator[str]:
@@ -278,16 +326,17 @@ def reports(rng: Random) -> Iterator[str]:
                 for n in (rng.randrange(256), rng.choice(EDGES), rng.choice(EDGES))]  # fmt: skip
         given = {"logic": rng.randrange(1 << 32), "result": rng.randrange(5), "wrong": 200,
                  "next": [rng.randrange(1 << 31) for _ in range(11)], "refused": 3,
-                 "late": rng.randrange(1 << 32), "kept": rng.randrange(1 << 32),
+                 "late": rng.randrange(1 << 32), "gaps": rng.randrange(1 << 32),
+                 "kept": rng.randrange(1 << 32),
                  "first": rng.randrange(1 << 32), "readings": told, "base_us": base}  # fmt: skip
-        for capacity in (1000, 75, 74, 90, 0) if count else (1000, 75, 74, 0):
+        for capacity in (1000, 79, 78, 94, 0) if count else (1000, 79, 78, 0):
             yield line("report-encode", capacity=capacity, **given) if count else line(
                 "report-encode", capacity=capacity,
                 **{k: v for k, v in given.items() if k != "base_us"})  # fmt: skip
     usual = {"logic": 1, "result": 0, "wrong": 0, "next": [0] * 11, "refused": 0, "late": 0,
-             "kept": 0, "first": 0, "readings": [1, 2, 3], "base_us": 0}  # fmt: skip
+             "gaps": 0, "kept": 0, "first": 0, "readings": [1, 2, 3], "base_us": 0}  # fmt: skip
     yield line("report-encode", capacity=2000, count=49, **usual)
-    head = bytes(range(66))
+    head = bytes(range(70))
 
     def told(*values: int) -> bytes:
         return b"".join(

@@ -93,6 +93,7 @@ def tracks(rng: Random) -> Iterator[str]:
     yield from _alternating()
     yield from _ring(rng)
     yield from _turned()
+    yield from _past(rng)
 
 
 def _alternating() -> Iterator[str]:
@@ -155,3 +156,39 @@ def _ring(rng: Random) -> Iterator[str]:
                     yield line("track-point", sink=sink, knot=end - back)
             time_us = (end << 12) - 4096 * rng.randrange(1, 3)
             yield line("track-at", sink="torque", time_us=time_us + 77, knot_shift=12)
+
+
+def _past(rng: Random) -> Iterator[str]:
+    """Back to the ring's oldest and the first point, from before and beyond the end; also where a
+    plan ends before what was stored."""
+    for start, shift in (((1 << 32) - 40, 12),):
+        yield line("blank")
+        yield line("track-past", sink="position", time_us=start << shift, knot_shift=shift)
+        end, highest = start - 1, start - 1
+        for count, back in ((3, 0), (40, 2), (128, 1), (100, 90), (128, 3), (128, 0), (5, 5)):
+            first = end + 1 - back
+            points = [rng.randrange(-1000, 1000) for _ in range(count)]
+            yield line("store", sink="position", first_knot=first, points=points)
+            end = first + count - 1
+            highest = max(highest, end)
+            oldest = max(start, highest - RING + 1)
+            for knot in sorted(
+                {
+                    start - 1,
+                    start,
+                    start + 1,
+                    oldest - 1,
+                    oldest,
+                    oldest + 1,
+                    end - 200,
+                    end - 2,
+                    end - 1,
+                    end,
+                    end + 1,
+                    end + 2,
+                    end + 300,
+                }
+            ):
+                for phase in (0, rng.randrange(1 << shift)):
+                    time_us = (knot << shift) + phase
+                    yield line("track-past", sink="position", time_us=time_us, knot_shift=shift)

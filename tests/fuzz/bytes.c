@@ -75,6 +75,7 @@ static void read_other(uint8_t what, const uint8_t *bytes, int32_t size) {
     struct stamps stamps;
     struct command command;
     struct peer_response response;
+    struct peer_feed feed;
     static struct fault_log faults;
     uint64_t nonce;
     uint8_t written[64];
@@ -101,6 +102,7 @@ static void read_other(uint8_t what, const uint8_t *bytes, int32_t size) {
     case 5:
         peer_request_decode(fuzz_key[0], bytes, size, &nonce);
         peer_response_decode(fuzz_key[0], bytes, size, &response);
+        peer_feed_decode(fuzz_key[0], bytes, size, &feed);
         break;
     default:
         if (size >= FRAME_HEADER_BYTES)

@@ -1,11 +1,17 @@
 // Fuzz target: signals of a hostile host. Its bytes are a script: logic of any nodes, batches of any
 // pieces, the same as raw payloads, time. What is taken is sound: no node reads itself or one after it,
-// outputs are off where nothing rules them and as their tracks have them else, and what is told can be
-// read.
+// outputs are off where nothing rules them and as their tracks have them else, the past of a track is
+// what it was or is said not to be there, a hostile board leaves tracks in order, and what is told and
+// given can be read.
+#include "feed.h"
 #include "node.h"
 #include "script.h"
 
 static struct node begun;
+
+// Tracks of motion, and of the first one which knot's point each place of its ring was given last.
+static struct track tracks[SOURCE_OF_PIECES];
+static int64_t placed[TRACK_POINTS];
 
 int LLVMFuzzerInitialize(int *argc, char ***argv) {
     (void)argc, (void)argv;
@@ -46,13 +52,24 @@ static void rule(struct script *script, struct signals *signals) {
         logic.trigger[i].condition = next_source(script);
         logic.trigger[i].every = next(script) % 8;
     }
+    logic.feeds = next(script) % (LOGIC_FEEDS + 1);
+    for (int32_t i = 0; i < logic.feeds; i++)
+        logic.feed[i] = (struct feed){.kind = next(script) % (FEED_KINDS + 1),
+                                      .source = next_source(script),
+                                      .number = (uint16_t)(8 + next(script) % 8),
+                                      .every = next(script) % 4,
+                                      .after_us = (uint16_t)(next(script) << 8)};
+    logic.feds = next(script) % (LOGIC_FEEDS + 1);
+    for (int32_t i = 0; i < logic.feds; i++)
+        logic.fed[i] =
+            (struct fed){(uint8_t)(SOURCE_OF_PIECES + next(script) % 12), next(script) % 9};
     uint8_t payload[1000];
     struct logic again;
     int32_t size = logic_encode(&logic, payload, sizeof payload);
     PROMISE(size > 0 && logic_decode(payload, size, &again));
-    PROMISE(logic_check(&again, &wrong) == logic_check(&logic, &wrong));
+    PROMISE(logic_check(&again, FUZZ_SHIFT, &wrong) == logic_check(&logic, FUZZ_SHIFT, &wrong));
     PROMISE(logic_encode(&logic, payload, size - 1) == -1);
-    signals_rule(signals, &again);
+    signals_rule(signals, &again, FUZZ_SHIFT);
 }
 
 static void take(struct script *script, struct signals *signals, int64_t now_us) {
@@ -87,6 +104,102 @@ static void take(struct script *script, struct signals *signals, int64_t now_us)
     PROMISE(batch_encode(&batch, payload, sizeof payload) <= (int32_t)sizeof payload);
 }
 
+// Another board says anything, often what goes on from before.
+static void hear(struct script *script, struct signals *signals, int64_t now_us) {
+    static int64_t last_us;
+    struct peer_feed feed = {.number = next(script) % 9,
+                             .steps = next(script) % 2,
+                             .count = (uint8_t)(1 + next(script) % PEER_POINTS)};
+    int64_t at_us = next(script) % 2 ? last_us : now_us + 512 * (next(script) - 128);
+    for (int32_t i = 0; i < feed.count; i++) {
+        feed.points[i] = (struct peer_point){at_us, next_word(script)};
+        at_us += 1 + 16 * next(script);
+    }
+    last_us = feed.points[feed.count - 1].time_us;
+    feed.time_us = last_us + next(script);
+    uint8_t frame[PEER_FEED_BYTES];
+    struct peer_feed again;
+    peer_feed_encode(fuzz_key[0], &feed, frame);
+    PROMISE(peer_feed_decode(fuzz_key[0], frame, sizeof frame, &again));
+    bool fresh = llabs(now_us - again.time_us) <= FEED_FRESH_US, fed = false;
+    for (int32_t i = 0; i < FEED_TRACKS; i++)
+        fed |= (signals->feeds.fed >> i & 1) && signals->feeds.taken[i].feed == feed.number;
+    PROMISE(signals_feed(signals, &again, now_us) == (fresh || !fed));
+}
+
+// As neighbours.c does, after each period.
+static void give(struct signals *signals, int64_t time_us) {
+    const struct logic *logic = &signals->logic;
+    uint8_t frame[PEER_FEED_BYTES];
+    struct peer_feed again;
+    if ((logic->feeds | logic->feds) == 0)
+        return;
+    signals->values[INPUT_LAG] = feeds_step(&signals->feeds, logic, signals->values, time_us);
+    PROMISE(signals->values[INPUT_LAG] >= 0);
+    const struct peer_feed *feed = feeds_next(&signals->feeds, logic->feeds);
+    if (!feed)
+        return;
+    peer_feed_encode(fuzz_key[0], feed, frame);
+    PROMISE(peer_feed_decode(fuzz_key[0], frame, sizeof frame, &again));
+    PROMISE(again.count == feed->count);
+    for (int32_t i = 0; i < feed->count; i++)
+        PROMISE(again.points[i].time_us == feed->points[i].time_us &&
+                again.points[i].value == feed->points[i].value);
+}
+
+// Plans that go on from the first track's end, or before it; now and then its first one.
+static void plan(struct script *script, int64_t now_us) {
+    struct track *track = &tracks[0];
+    int32_t points[128], count = next(script) % 126 + 3;
+    int64_t first = track->written ? track->end + 1 - next(script) % 4 : now_us >> FUZZ_SHIFT;
+    for (int32_t i = 0; i < count; i++)
+        points[i] = next(script) << 8;
+    if (track->written && first < track->oldest)
+        return;
+    if (next(script) % 32 == 0)
+        track->written = false;
+    if (!track->written)
+        memset(placed, 0, sizeof placed);
+    for (int32_t i = 0; i < count; i++)
+        placed[(uint32_t)(first + i) % TRACK_POINTS] = first + i;
+    track_write(track, first, points, count);
+}
+
+static bool is_left(int64_t knot) {
+    return knot > tracks[0].end || placed[(uint32_t)knot % TRACK_POINTS] == knot;
+}
+
+// By hand, one piece after the other, or by which points the ring still has.
+static int32_t past_of(const struct signals *signals, const struct logic_node *node,
+                       int64_t then_us) {
+    int64_t knot = then_us >> FUZZ_SHIFT;
+    struct instant at = {knot, (uint16_t)(then_us << (16 - FUZZ_SHIFT))};
+    if (node->a < SOURCE_OF_PIECES) {
+        bool left = node->a == 0 && tracks[0].written && knot <= tracks[0].end;
+        for (int32_t i = -1; i < 3; i++)
+            left = left && is_left(knot + i);
+        return left ? track_value(&tracks[0], &at) : node->high;
+    }
+    const struct pieces *track = &signals->tracks[node->a - SOURCE_OF_PIECES];
+    for (uint32_t i = 1; i <= PIECES && i <= track->next; i++) {
+        const struct piece *piece = &track->ring[(track->next - i) % PIECES];
+        if (piece->start_us <= then_us) {
+            struct pieces alone = {.next = 1, .ring[0] = *piece};
+            return pieces_now(&alone, then_us);
+        }
+    }
+    return node->high;
+}
+
+static void promise_past(const struct signals *signals, int64_t time_us) {
+    for (int32_t i = 0; i < signals->graph.count; i++) {
+        const struct logic_node *node = &signals->graph.nodes[i];
+        if (node->kind == NODE_PAST)
+            PROMISE(signals->values[SOURCE_OF_NODES + i] ==
+                    past_of(signals, node, time_us - node->low));
+    }
+}
+
 static void take_raw(struct script *script, struct signals *signals, int64_t now_us) {
     static struct batch batch;
     static struct report report;
@@ -98,7 +211,7 @@ static void take_raw(struct script *script, struct signals *signals, int64_t now
     if (what == 0 && batch_decode(bytes, size, &batch))
         signals_take(signals, &batch, now_us);
     if (what == 1 && logic_decode(bytes, size, &logic))
-        signals_rule(signals, &logic);
+        signals_rule(signals, &logic, FUZZ_SHIFT);
     if (what == 2)
         report_decode(bytes, size, &report);
 }
@@ -153,9 +266,16 @@ static void promise(struct signals *signals) {
     PROMISE(signals->readings.told - signals->readings.kept <= READINGS);
     for (int32_t i = 0; i < signals->graph.count; i++)
         PROMISE(signals->graph.nodes[i].a < SOURCE_OF_NODES + i);
-    for (int32_t i = 0; i < REPORT_TRACKS; i++)
-        PROMISE(signals->tracks[i].next == 0 ||
-                signals->tracks[i].current < signals->tracks[i].next);
+    for (int32_t i = 0; i < signals->graph.count; i++)
+        PROMISE(signals->graph.nodes[i].kind != NODE_PAST ||
+                (signals->graph.nodes[i].a < SOURCE_OF_INPUTS && signals->graph.nodes[i].low >= 0));
+    for (int32_t i = 0; i < REPORT_TRACKS; i++) {
+        const struct pieces *track = &signals->tracks[i];
+        PROMISE(track->next == 0 || track->current < track->next);
+        for (uint32_t back = 2; back <= PIECES && back <= track->next; back++)
+            PROMISE(track->ring[(track->next - back) % PIECES].start_us <=
+                    track->ring[(track->next - back + 1) % PIECES].start_us);
+    }
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
@@ -167,6 +287,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
         return 0;
     memset(&signals, 0, sizeof signals);
     board = begun.board;
+    memset(tracks, 0, sizeof tracks);
     while (script.at < script.size) {
         uint8_t what = next(&script) % 16;
         if (what < 3) {
@@ -175,6 +296,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
             take(&script, &signals, clock.system_us);
         } else if (what < 7) {
             take_raw(&script, &signals, clock.system_us);
+            plan(&script, clock.system_us);
+        } else if (what < 8 && next(&script) % 4 != 0) {
+            hear(&script, &signals, clock.system_us);
         } else if (what < 8 &&
                    next(&script) % 2) { // the clock steps, which no output lives through
             clock.system_us -= 64 * next(&script);
@@ -192,7 +316,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
                 clock.system_us += since_us;
                 clock.count_us += (uint32_t)since_us;
                 board_advance(&board, board.true_us + since_us);
+                signals_recall(&signals, tracks, clock.system_us, FUZZ_SHIFT);
                 signals_step(&signals, &board, &clock, 1000, what != 9);
+                promise_past(&signals, clock.system_us);
+                give(&signals, clock.system_us);
                 for (int32_t i = 0; i < REPORT_TRACKS; i++)
                     PROMISE(signals.values[SOURCE_OF_PIECES + i] ==
                             pieces_at(&signals.tracks[i], clock.system_us));

@@ -1,6 +1,6 @@
 // Fuzz target: a host with the key that is hostile. Its bytes are a script: plans of any header and
 // points, commands, raw payloads, time; all of it signed. Whatever it says, what may move is within
-// the limits.
+// the limits, and what has been executed stays what it was.
 #include "node.h"
 #include "script.h"
 
@@ -122,10 +122,39 @@ static void judge(struct script *script) {
                 (points[i] >= limits.point_min && points[i] <= limits.point_max));
 }
 
+// Setpoints of the last periods that followed the position track.
+#define EXECUTED 64
+struct executed {
+    uint32_t count;
+    int64_t time_us[EXECUTED];
+    int32_t position_pq[EXECUTED];
+};
+
+static void promise_past(struct executed *executed, const struct device *device) {
+    const struct track *track = &device->tracks[TRACK_POSITION];
+    bool follows = device->state == DEVICE_RUNNING || device->state == DEVICE_COAST;
+    if (!track->written || !follows) {
+        executed->count = 0;
+        return;
+    }
+    struct instant begin = instant_at(device->clock.system_us, FUZZ_SHIFT);
+    if (device->setpoint.position_pq == track_value(track, &begin)) {
+        uint32_t i = executed->count++ % EXECUTED;
+        executed->time_us[i] = device->clock.system_us;
+        executed->position_pq[i] = device->setpoint.position_pq;
+    }
+    for (uint32_t i = 0; i < EXECUTED && i < executed->count; i++) {
+        struct instant at = instant_at(executed->time_us[i], FUZZ_SHIFT);
+        int32_t value;
+        PROMISE(!track_past(track, &at, &value) || value == executed->position_pq[i]);
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
     static struct node node;
     struct host host = begun_host;
     struct script script = {data, length, 0};
+    struct executed executed = {0};
     memcpy(&node, &begun, sizeof node);
     if (length > 3000)
         return 0;
@@ -151,6 +180,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length) {
         }
         fuzz_poll(&node);
         fuzz_promise(&node);
+        promise_past(&executed, &node.device);
     }
     return 0;
 }

@@ -60,6 +60,15 @@ static void replay_track_at(void) {
         say("another by the span that is kept");
 }
 
+static void replay_track_past(void) {
+    struct instant at = instant_at(given("time_us"), (int32_t)given("knot_shift"));
+    int32_t value;
+    if (track_past(&tracks[given_sink()], &at, &value))
+        say_number("value", value);
+    else
+        say("gone");
+}
+
 static void replay_limits_valid(void) {
     replay_limits();
     say_number("valid", gate_limits_valid(&limits[given_sink()]));
@@ -112,6 +121,7 @@ const struct word motion_words[] = {
     {"limits", replay_limits},
     {"track-point", replay_track_point},
     {"track-at", replay_track_at},
+    {"track-past", replay_track_past},
     {"limits-valid", replay_limits_valid},
     {"gate", replay_gate},
     {0, 0},

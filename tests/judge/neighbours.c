@@ -44,6 +44,7 @@ static void replay_neighbours(void) {
     device.settings.ask_us = (uint32_t)given("ask_us");
     device.settings.dither_us = (uint16_t)given("dither_us");
     device.settings.peer_least_us = (uint32_t)given("peer_least_us");
+    device.settings.sync.among_boards = is_given("among") && given("among") != 0;
     memcpy(device.settings.peer_key, given_bytes("key", &size), SIPHASH_KEY_BYTES);
 }
 
@@ -55,6 +56,19 @@ static void replay_neighbours_period(void) {
     device.sync.least_error_ns = (int32_t)given("least_error_ns");
     device.sync.most_error_ns = (int32_t)given("most_error_ns");
     device.sync.told_us = device.clock.ticks_us;
+}
+
+// A host's, and what its servo periods find from now on: sources, and their values.
+static void replay_neighbours_logic(void) {
+    int32_t size, values[8];
+    const uint8_t *payload = given_bytes("payload", &size);
+    struct logic logic;
+    if (!logic_decode(payload, size, &logic))
+        say("malformed");
+    device.signals.asked = logic.number - 1; // it is another one
+    signals_rule(&device.signals, &logic, 12);
+    for (int32_t i = 0; i < given_list("values", values, 8); i += 2)
+        device.signals.values[values[i]] = values[i + 1];
 }
 
 static void begin_poll(void) {
@@ -84,5 +98,6 @@ const struct word neighbour_words[] = {
     {"neighbours-speak", replay_neighbours_speak},
     {"neighbours-take", replay_neighbours_take},
     {"neighbours-flush", replay_neighbours_flush},
+    {"neighbours-logic", replay_neighbours_logic},
     {0, 0},
 };

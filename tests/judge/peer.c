@@ -57,6 +57,40 @@ static void replay_response_decode(void) {
     say_number("settled", response.settled);
 }
 
+// Points: when and what, one after the other.
+static void replay_feed_encode(void) {
+    int32_t numbers[2 * PEER_POINTS];
+    struct peer_feed feed = {.number = (uint16_t)given("number"),
+                             .steps = given("steps") != 0,
+                             .lineage = (uint32_t)given("lineage"),
+                             .time_us = given("time_us")};
+    feed.count = (uint8_t)(given_list("points", numbers, 2 * PEER_POINTS) / 2);
+    for (int32_t i = 0; i < feed.count; i++)
+        feed.points[i] =
+            (struct peer_point){feed.time_us - (uint32_t)numbers[2 * i], numbers[2 * i + 1]};
+    uint8_t *frame = room(PEER_FEED_BYTES);
+    peer_feed_encode(given_key(), &feed, frame);
+    say_bytes("frame", frame, PEER_FEED_BYTES);
+}
+
+static void replay_feed_decode(void) {
+    int32_t size;
+    const uint8_t *frame = given_bytes("frame", &size);
+    struct peer_feed feed;
+    if (!peer_feed_decode(given_key(), frame, size, &feed)) {
+        say("refused");
+        return;
+    }
+    say_number("number", feed.number);
+    say_number("steps", feed.steps);
+    say_number("lineage", feed.lineage);
+    say_number("time_us", feed.time_us);
+    for (int32_t i = 0; i < feed.count; i++) {
+        say_number("at_us", feed.points[i].time_us);
+        say_number("value", feed.points[i].value);
+    }
+}
+
 static void replay_lineage(void) {
     struct lineage own = {(uint32_t)given("own"), given("own_settled") != 0};
     struct lineage other = {(uint32_t)given("other"), given("other_settled") != 0};
@@ -86,6 +120,8 @@ const struct word peer_words[] = {
     {"peer-request-decode", replay_request_decode},
     {"peer-response-encode", replay_response_encode},
     {"peer-response-decode", replay_response_decode},
+    {"peer-feed-encode", replay_feed_encode},
+    {"peer-feed-decode", replay_feed_decode},
     {"lineage", replay_lineage},
     {"marks", replay_marks},
     {"marks-note", replay_marks_note},

@@ -34,9 +34,21 @@ static void replay_piece_take(void) {
 
 static void replay_piece_at(void) { say_number("value", pieces_at(&pieces, given("time_us"))); }
 
+static void replay_piece_past(void) {
+    int32_t value;
+    if (pieces_past(&pieces, given("time_us"), &value))
+        say_number("value", value);
+    else
+        say("gone");
+}
+
 static void replay_piece_now(void) { say_number("value", pieces_now(&pieces, given("time_us"))); }
 
 static const char *const graph_results[] = {"good", "kind", "missing", "cycle", "limits"};
+
+static int32_t given_shift(void) {
+    return is_given("knot_shift") ? (int32_t)given("knot_shift") : 12;
+}
 
 // Five numbers for each node.
 static int32_t given_nodes(struct logic_node *nodes) {
@@ -52,7 +64,7 @@ static void replay_graph(void) {
     int32_t wrong;
     memset(&graph, 0, sizeof graph);
     graph.count = (uint8_t)given_nodes(graph.nodes);
-    enum graph_result result = graph_check(graph.nodes, graph.count, &wrong);
+    enum graph_result result = graph_check(graph.nodes, graph.count, given_shift(), &wrong);
     say(graph_results[result]);
     say_number("wrong", wrong);
     if (result != GRAPH_GOOD)
@@ -62,6 +74,8 @@ static void replay_graph(void) {
 static void replay_graph_step(void) {
     int32_t values[GRAPH_VALUES] = {0};
     given_list("values", values, SOURCE_OF_NODES);
+    if (is_given("past"))
+        given_list("past", values + SOURCE_OF_NODES, GRAPH_NODES);
     graph_step(&graph, values);
     say_list("nodes", values + SOURCE_OF_NODES, graph.count);
 }
@@ -157,7 +171,7 @@ static void replay_batch_decode(void) {
 
 static struct logic given_logic(void) {
     struct logic logic;
-    int32_t numbers[4 * LOGIC_TRIGGERS + 4];
+    int32_t numbers[5 * LOGIC_FEEDS];
     memset(&logic, 0, sizeof logic);
     logic.number = (uint32_t)given("number");
     logic.nodes = (uint8_t)given_nodes(logic.node);
@@ -173,13 +187,24 @@ static struct logic given_logic(void) {
         logic.trigger[i] =
             (struct trigger){(uint8_t)n[0], (uint8_t)n[1], (uint8_t)n[2], (uint16_t)n[3]};
     }
+    if (is_given("feeds"))
+        logic.feeds = (uint8_t)(given_list("feeds", numbers, 5 * LOGIC_FEEDS) / 5);
+    for (int32_t i = 0; i < logic.feeds; i++) {
+        const int32_t *n = numbers + 5 * i;
+        logic.feed[i] = (struct feed){(uint8_t)n[0], (uint8_t)n[1], (uint16_t)n[2], (uint16_t)n[3],
+                                      (uint16_t)n[4]};
+    }
+    if (is_given("fed"))
+        logic.feds = (uint8_t)(given_list("fed", numbers, 2 * LOGIC_FEEDS) / 2);
+    for (int32_t i = 0; i < logic.feds; i++)
+        logic.fed[i] = (struct fed){(uint8_t)numbers[2 * i], (uint16_t)numbers[2 * i + 1]};
     return logic;
 }
 
 static void replay_logic_check(void) {
     struct logic logic = given_logic();
     int32_t wrong;
-    say(graph_results[logic_check(&logic, &wrong)]);
+    say(graph_results[logic_check(&logic, given_shift(), &wrong)]);
     say_number("wrong", wrong);
 }
 
@@ -201,6 +226,8 @@ static void replay_logic_decode(void) {
     }
     say_number("nodes", logic.nodes);
     say_number("triggers", logic.triggers);
+    say_number("feeds", logic.feeds);
+    say_number("fed", logic.feds);
     say_bytes("again", again, logic_encode(&logic, again, 1000));
 }
 
@@ -216,6 +243,7 @@ static struct report given_report(void) {
         report.next[i] = (uint32_t)numbers[i];
     report.refused = (uint32_t)given("refused");
     report.late = (uint32_t)given("late");
+    report.gaps = (uint32_t)given("gaps");
     report.kept = (uint32_t)given("kept");
     report.first = (uint32_t)given("first");
     report.count = (uint8_t)(given_list("readings", numbers, 3 * REPORT_READINGS) / 3);
@@ -250,6 +278,7 @@ static void replay_report_decode(void) {
         say_number("next", report.next[i]);
     say_number("refused", report.refused);
     say_number("late", report.late);
+    say_number("gaps", report.gaps);
     say_number("kept", report.kept);
     say_number("first", report.first);
     for (int32_t i = 0; i < report.count; i++) {
@@ -263,6 +292,7 @@ const struct word signal_words[] = {
     {"pieces", replay_pieces},
     {"piece-take", replay_piece_take},
     {"piece-at", replay_piece_at},
+    {"piece-past", replay_piece_past},
     {"piece-now", replay_piece_now},
     {"graph", replay_graph},
     {"graph-step", replay_graph_step},
