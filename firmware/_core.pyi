@@ -499,6 +499,8 @@ class Observation:
     driven: bool
     bounded: bool
     may_stand: bool
+    supplied: bool
+    heat_periods: int
     def __init__(self) -> None: ...
 
 class Monitor:

@@ -1,8 +1,13 @@
 #include "clock.h"
 #include "fixed.h" // products
+#include "near.h"
+
+#define BRIEF_US 1000 // in less the rate makes less than 2^31 of it
 
 static int64_t skewed_q32(const struct headway_clock *clock, int32_t elapsed_us) {
-    if ((uint32_t)elapsed_us <= UINT16_MAX) // as from one servo period to the next; exact as well
+    if ((uint32_t)elapsed_us < BRIEF_US) // as from one servo period to the next; all ways are exact
+        return elapsed_us * clock->rate_q32;
+    if ((uint32_t)elapsed_us <= UINT16_MAX)
         return fixed_mul_u16(clock->rate_q32, (uint16_t)elapsed_us);
     return (int64_t)elapsed_us * clock->rate_q32;
 }
@@ -21,7 +26,7 @@ int64_t clock_at(const struct headway_clock *clock, uint32_t count_us) {
            ((skewed_q32(clock, elapsed_us) + (int64_t)clock->fraction_q32) >> 32);
 }
 
-void clock_advance(struct headway_clock *clock, uint32_t count_us) {
+APART void clock_advance(struct headway_clock *clock, uint32_t count_us) {
     int32_t elapsed_us = elapsed(clock, count_us);
     int64_t fraction = (int64_t)clock->fraction_q32 + skewed_q32(clock, elapsed_us);
     clock->system_us += elapsed_us + (fraction >> 32);

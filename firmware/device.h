@@ -33,22 +33,38 @@
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
-#define DEVICE_STEER_US 1000 // from one steering of the clock to the next, if periods are shorter
+#define DEVICE_TURNS 8       // servo periods in which each duty has its turn, if they are short ...
+#define DEVICE_TURNS_US 1000 // ... so that all of them take no longer than this
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
+
+// What need not be done in each servo period: where these are short, each has a turn, or a few, of
+// DEVICE_TURNS. Else, and while the clock may step, all of it is done in each.
+enum device_duty {
+    DUTY_CARRY = 1,   // what is known of the clock
+    DUTY_LEAD = 2,    // its rate
+    DUTY_TELL = 4,    // its error, and whether it can be relied on
+    DUTY_HEAT = 8,    // of the motor
+    DUTY_GAINS = 16,  // by their tracks
+    DUTY_SUPPLY = 32, // and the chopper
+    DUTY_AHEAD = 64,  // a span of the next knot
+    DUTIES = 127,
+};
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
     enum device_state state;
     uint32_t next_servo_us; // local count of the next servo period
     uint16_t sample_wait;   // servo periods until the next sample
-    uint16_t steer_every;   // servo periods from one steering of the clock to the next ...
-    uint16_t steer_part;    // ... and of these the one that runs: the first have parts of it
+    bool takes_turns;       // its periods are short
+    uint8_t turn;           // of this period
+    uint8_t duties;         // of this period: bits of device_duty
     int32_t encoder_count;  // as the board has it
     int32_t offset_count;   // what it lacks to the axis' position
     int32_t position_pq;    // measured
     int32_t hold_pq, hold_tq;
     bool configured; // else it has no settings and no key, and does nothing
     bool power, brake;
+    uint8_t outputs;        // as the board was told last
     bool steps;             // it has a stepper, which needs no servo
     bool trusted;           // encoder and servo, to ramp down by
     bool status_waits;      // the last one has not left yet ...

@@ -31,8 +31,17 @@ gain(struct track *track, const struct instant *at, struct scale fixed) {
     return fixed;
 }
 
-static void from_tracks(struct device *device, const struct instant *now,
-                        struct setpoint *setpoint) {
+// Apart, and called: its turn is not to slow the others.
+static __attribute__((noinline)) void find_gains(struct device *device, const struct instant *now) {
+    const struct servo_settings *servo = &device->settings.servo;
+    struct track *tracks = device->tracks;
+    device->setpoint.kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
+    device->setpoint.ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
+    device->setpoint.kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+}
+
+static APART void from_tracks(struct device *device, const struct instant *now,
+                              struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
     struct track *tracks = device->tracks;
@@ -41,9 +50,8 @@ static void from_tracks(struct device *device, const struct instant *now,
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
     setpoint->velocity_pq = span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
     setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
-    setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
-    setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
-    setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+    if (device->duties & DUTY_GAINS)
+        find_gains(device, now);
     setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
     setpoint->integrate = servo->integrate_running;
 }
@@ -238,7 +246,7 @@ static void note_torque(struct status *status, const struct servo *servo) {
     int32_t torque = servo->unclipped_tq < 0 ? -servo->unclipped_tq : servo->unclipped_tq;
     if (torque > status->torque_peak_tq)
         status->torque_peak_tq = torque;
-    if (servo->torque_tq != servo->unclipped_tq)
+    if (servo->clipped)
         status->torque_clipped++;
 }
 
@@ -271,35 +279,42 @@ static __attribute__((noinline)) void step(struct device *device, struct board *
     device->servo.error_pq = fixed_difference(stepper->now_pq, device->position_pq);
 }
 
-void drive(struct device *device, struct board *board, const struct instant *now,
-           uint32_t count_us) {
+static uint8_t outputs(const struct device *device) {
+    return (uint8_t)(device->brake | device->power << 1 | device->monitor.chopper << 2);
+}
+
+// When they change, and else now and then, in case that the board has lost one.
+static void switch_outputs(struct device *device, struct board *board) {
+    device->outputs = outputs(device);
+    board_set_brake(board, device->brake);
+    board_set_power(board, device->power);
+    board_set_chopper(board, device->monitor.chopper);
+}
+
+APART void drive(struct device *device, struct board *board, const struct instant *now,
+                 uint32_t count_us) {
     enum source source = source_of(device, count_us);
     set_brake(device, brake_wanted(device, source));
     if (device->steps) {
         step(device, board, source);
     } else if (device->power && source != SOURCE_NONE) {
-        struct setpoint setpoint;
+        struct setpoint *setpoint = &device->setpoint;
         const struct servo_settings *settings = &device->settings.servo;
         struct servo *servo = &device->servo;
         NEAR(settings);
         NEAR(servo);
-        find_setpoint(device, board, now, source, &setpoint);
-        int32_t duty = servo_step(settings, servo, &setpoint, device->position_pq);
-        // Not as a whole: between its fields a struct has bytes that nobody has set, and a device's
-        // state is the same to the last byte after the same history.
-        device->setpoint.position_pq = setpoint.position_pq;
-        device->setpoint.velocity_pq = setpoint.velocity_pq;
-        device->setpoint.torque_tq = setpoint.torque_tq;
+        NEAR(setpoint);
+        find_setpoint(device, board, now, source, setpoint);
+        int32_t duty = servo_step(settings, servo, setpoint, device->position_pq);
         board_set_duty(board, duty);
         note_torque(&device->status, servo);
     } else {
         board_set_duty(board, 0);
     }
-    board_set_brake(board, device->brake);
-    board_set_power(board, device->power);
+    if (device->duties & DUTY_TELL || outputs(device) != device->outputs)
+        switch_outputs(device, board);
     guard_assert(&device->guard, board); // it may have tripped between these lines
-    board_set_chopper(board, device->monitor.chopper);
-    if (device->faults_unsaved) { // at once, and after all outputs: a reset may come next
+    if (device->faults_unsaved) {        // at once, and after all outputs: a reset may come next
         store_save_faults(board, &device->faults);
         device->faults_unsaved = false;
     }

@@ -1,5 +1,5 @@
 #include "monitor.h"
-#include "servo.h" // SERVO_COUNT_BITS
+#include "near.h"
 
 static int32_t magnitude(int32_t value) { return value < 0 ? -value : value; }
 
@@ -16,8 +16,8 @@ void monitor_begin(struct monitor *monitor) {
 
 // Of two that one period found: the one with the sterner response, else the first. Apart, and called:
 // what hardly ever happens is not to make way for what always does.
-static __attribute__((noinline)) void found(struct breach *worst, enum fault_reason reason,
-                                            int32_t value, int32_t limit) {
+static APART void found(struct breach *worst, enum fault_reason reason, int32_t value,
+                        int32_t limit) {
     if (worst->reason != REASON_NONE && fault_response(reason) <= fault_response(worst->reason))
         return;
     worst->reason = reason;
@@ -45,7 +45,7 @@ static void watch_stuck(const struct monitor_settings *settings, struct monitor 
                         const struct observation *seen, bool moved, struct breach *worst) {
     if (moved || !monitor->begun || seen->may_stand) {
         monitor->still_pq = seen->setpoint_pq;
-        monitor->still_tq = seen->torque_tq;
+        monitor->still_tq = seen->servo->torque_tq;
         monitor->still_periods = 0;
     }
     monitor->begun = true;
@@ -54,7 +54,8 @@ static void watch_stuck(const struct monitor_settings *settings, struct monitor 
         found(worst, REASON_STUCK, way_pq, settings->stuck_pq);
         return;
     }
-    bool pushed = magnitude(seen->torque_tq - monitor->still_tq) >= seen->torque_limit_tq / 2;
+    bool pushed =
+        magnitude(seen->servo->torque_tq - monitor->still_tq) >= seen->torque_limit_tq / 2;
     monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
     if (monitor->still_periods > settings->stuck_periods)
         found(worst, REASON_STUCK, (int32_t)monitor->still_periods,
@@ -62,8 +63,8 @@ static void watch_stuck(const struct monitor_settings *settings, struct monitor 
 }
 
 // The chopper works whether the bridge is on or not: the bridge's capacitor may be full either way.
-static void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
-                         int32_t supply_mV, bool power, struct breach *worst) {
+static APART void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
+                               int32_t supply_mV, bool power, struct breach *worst) {
     int32_t off_mV = settings->chopper_mV - (settings->chopper_mV >> MONITOR_CHOPPER_OFF_SHIFT);
     monitor->chopper = supply_mV > (monitor->chopper ? off_mV : settings->chopper_mV);
     monitor->under = power && supply_mV < settings->supply_min_mV ? monitor->under + 1 : 0;
@@ -78,8 +79,7 @@ static void watch_supply(const struct monitor_settings *settings, struct monitor
 }
 
 // The winding's temperature as a first-order lag of the copper loss.
-static __attribute__((noinline)) void warm(const struct monitor_settings *settings,
-                                           struct monitor *monitor) {
+static APART void warm(const struct monitor_settings *settings, struct monitor *monitor) {
     int32_t mean_q16 = (int32_t)(monitor->heat / MONITOR_HEAT_PERIODS);
     int64_t change_q32 = fixed_mul_u16(mean_q16 - monitor->rise_q16, settings->heating_q16) +
                          monitor->rise_fraction; // kept: else a slow winding would stay cold
@@ -91,16 +91,17 @@ static __attribute__((noinline)) void warm(const struct monitor_settings *settin
 
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
 // winding's temperature for minutes.
-static void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                       int32_t torque_tq, struct breach *worst) {
+static APART void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
+                             int32_t torque_tq, uint8_t periods, struct breach *worst) {
     int32_t load_q8 =
         fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
-    monitor->overload += loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8;
+    monitor->overload += (int64_t)(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8) * periods;
     if (monitor->overload < 0)
         monitor->overload = 0;
-    monitor->heat += loss_q16;
-    if (++monitor->heat_periods == MONITOR_HEAT_PERIODS)
+    monitor->heat += (int64_t)loss_q16 * periods;
+    monitor->heat_periods += periods;
+    if (monitor->heat_periods >= MONITOR_HEAT_PERIODS)
         warm(settings, monitor);
     if (monitor->overload >> 16 > (int64_t)settings->overload)
         found(worst, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
@@ -108,7 +109,21 @@ static void watch_heat(const struct monitor_settings *settings, struct monitor *
         found(worst, REASON_WINDING, monitor->rise_q16, settings->rise_q16);
 }
 
-// v^2 / 2 <= a (limit - position) in the direction of motion: these two products need 64 bits. Past
+// v^2 / 2 <= a (limit - position): these two products need 64 bits.
+static APART bool has_room_exactly(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
+    uint64_t energy_q16 = fixed_mul_u32(pace, pace) << 15; // v^2 / 2
+    return energy_q16 <= fixed_mul_u32(room, deceleration_q16);
+}
+
+// The same. Where a room and a deceleration rounded down are enough, as nearly always, 32 bits are.
+static inline bool has_room(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
+    uint32_t less_q8 = deceleration_q16 >> 8;
+    if ((pace | less_q8) >> 16 == 0 && pace * pace >> 9 < (room >> 16) * less_q8)
+        return true;
+    return has_room_exactly(pace, room, deceleration_q16);
+}
+
+// In the direction of motion. Past
 // the limit a ramp that began where the axis was found would follow it out, again and again: there
 // only the brake ends it. False if there is no room.
 static bool watch_room(const struct monitor_settings *settings, int32_t speed, int32_t position_pq,
@@ -122,20 +137,19 @@ static bool watch_room(const struct monitor_settings *settings, int32_t speed, i
         found(worst, REASON_OUTSIDE, position_pq, limit);
         return false;
     }
-    uint64_t energy_q16 = fixed_mul_u32(pace, pace) << 15; // v^2 / 2
-    if (energy_q16 > fixed_mul_u32(room, (uint32_t)settings->deceleration_q16)) {
-        found(worst, REASON_ROOM, position_pq, limit);
-        return false;
-    }
-    return true;
+    if (has_room(pace, room, (uint32_t)settings->deceleration_q16))
+        return true;
+    found(worst, REASON_ROOM, position_pq, limit);
+    return false;
 }
 
 // The torque of a loop whose encoder counts backwards makes its own error grow: the axis moves away
 // from its setpoint against the feedback, and the ramp, which trusts the same encoder, would drive it
 // on. An overpowered motor looks alike; there, too, only the brake helps.
 static enum fault_reason why_behind(const struct observation *seen, int32_t speed) {
-    int32_t away = seen->error_pq > 0 ? -speed : speed;
-    bool restoring = (seen->feedback_tq > 0) == (seen->error_pq > 0);
+    const struct servo *servo = seen->servo;
+    int32_t away = servo->error_pq > 0 ? -speed : speed;
+    bool restoring = (servo->feedback_tq > 0) == (servo->error_pq > 0);
     return restoring && away > 1 << SERVO_COUNT_BITS ? REASON_REVERSED : REASON_FOLLOWING;
 }
 
@@ -154,12 +168,12 @@ static void watch_motion(const struct monitor_settings *settings, struct monitor
     if (settings->bounded && seen->bounded &&
         !watch_room(settings, speed, seen->position_pq, worst))
         return;
-    bool behind = magnitude(seen->error_pq) > settings->following_pq;
+    bool behind = magnitude(seen->servo->error_pq) > settings->following_pq;
     monitor->following = behind ? monitor->following + 1 : 0;
     if (monitor->following > settings->following_periods) {
-        found(worst, why_behind(seen, speed), seen->error_pq, settings->following_pq);
+        found(worst, why_behind(seen, speed), seen->servo->error_pq, settings->following_pq);
     } else {
-        monitor->torque = seen->clipped ? monitor->torque + 1 : 0;
+        monitor->torque = seen->servo->clipped ? monitor->torque + 1 : 0;
         if (monitor->torque > settings->torque_periods)
             found(worst, REASON_TORQUE, (int32_t)monitor->torque,
                   (int32_t)settings->torque_periods);
@@ -172,18 +186,20 @@ static void watch_late(const struct monitor_settings *settings, const struct obs
         found(worst, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
-struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                           const struct observation *seen) {
-    struct breach worst = {REASON_NONE, 0, 0};
+APART void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                        const struct observation *seen, struct breach *worst) {
+    worst->reason = REASON_NONE;
     bool moved = monitor->primed && seen->count != monitor->count;
     // First: a period that comes late finds the encoder far away, and that is no jump.
-    watch_late(settings, seen, &worst);
-    watch_count(settings, monitor, seen->count, &worst);
-    if (seen->driven)
-        watch_stuck(settings, monitor, seen, moved, &worst);
-    watch_supply(settings, monitor, seen->supply_mV, seen->power, &worst);
-    watch_heat(settings, monitor, seen->torque_tq, &worst);
-    if (seen->driven)
-        watch_motion(settings, monitor, seen, &worst);
-    return worst;
+    watch_late(settings, seen, worst);
+    watch_count(settings, monitor, seen->count, worst);
+    if (seen->supplied)
+        watch_supply(settings, monitor, seen->supply_mV, seen->power, worst);
+    if (seen->heat_periods != 0)
+        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods,
+                   worst);
+    if (!seen->driven)
+        return;
+    watch_stuck(settings, monitor, seen, moved, worst);
+    watch_motion(settings, monitor, seen, worst);
 }

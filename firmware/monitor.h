@@ -5,6 +5,7 @@
 
 #include "fault.h"
 #include "fixed.h"
+#include "servo.h"
 
 #define MONITOR_SPEED_PERIODS 8     // of the low-pass on the measured speed
 #define MONITOR_LOAD_ONE_Q8 256     // torque load 1: the continuous torque
@@ -55,16 +56,16 @@ struct observation {
     int32_t count;       // of the encoder
     int32_t position_pq; // measured
     int32_t setpoint_pq;
-    int32_t error_pq; // setpoint minus measured
-    int32_t torque_tq, torque_limit_tq;
-    int32_t feedback_tq; // of the torque, what the gains make of the error
-    bool clipped;        // at the ceiling
+    const struct servo *servo; // after its last period
+    int32_t torque_limit_tq;
     int32_t supply_mV;
-    uint32_t late_us; // after it was due
-    bool power;       // the bridge is on: else only the encoder is judged
-    bool driven;      // the servo follows a setpoint
-    bool bounded;     // it is to be kept within its limits
-    bool may_stand;   // standing still is what it is there for
+    uint32_t late_us;     // after it was due
+    bool power;           // the bridge is on: else only the encoder is judged
+    bool driven;          // the servo follows a setpoint
+    bool supplied;        // `supply_mV` is known
+    uint8_t heat_periods; // for which this torque stands, 0: is not judged
+    bool bounded;         // it is to be kept within its limits
+    bool may_stand;       // standing still is what it is there for
 };
 
 // A breach; reason REASON_NONE if there is none.
@@ -73,9 +74,10 @@ struct breach {
     int32_t value, limit;
 };
 
-// One servo period. The worst breach is told: what forbids the ramp before what does not.
-struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                           const struct observation *seen);
+// One servo period. The worst breach is told: what forbids the ramp before what does not. If there is
+// none, only its reason is set.
+void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                  const struct observation *seen, struct breach *worst);
 
 // Whether a position is within the last limits.
 bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq);

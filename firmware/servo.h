@@ -39,7 +39,8 @@ struct servo {
     int32_t feedback_tq;    // what the gains make of the error
     int32_t unclipped_tq;   // what is asked for, back-EMF's share included
     int32_t torque_tq;      // after the ceiling
-    bool saturated;         // torque ceiling or voltage reached
+    bool clipped;           // torque ceiling reached
+    bool saturated;         // that, or the voltage
 };
 
 // What the tracks ask for at this instant.

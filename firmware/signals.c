@@ -28,6 +28,13 @@ static uint8_t driven(const uint8_t *sources, int32_t count) {
     return (uint8_t)all;
 }
 
+static bool is_by_nodes(const struct logic *logic) {
+    bool all = driven(logic->pwm, BOARD_PWM) == 0;
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        all = all && logic->digital[i] >= SOURCE_OF_NODES;
+    return all;
+}
+
 static uint32_t reads(const struct logic *logic) {
     uint32_t all = 0;
     for (int32_t i = 0; i < logic->nodes; i++)
@@ -71,6 +78,8 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
     signals->reads = reads(logic);
     signals->digitals = driven(logic->digital, BOARD_DIGITAL);
     signals->pwms = driven(logic->pwm, BOARD_PWM);
+    signals->by_nodes = is_by_nodes(logic);
+    signals->steady = false;
     signals->graph.count = logic->nodes;
     signals->graph.held = edge_nodes(logic);
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
@@ -213,11 +222,17 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
     for (int32_t i = 0; left != 0; i++, left >>= 1)
         if (left & 1)
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
+    uint16_t held = signals->graph.held;
     graph_step(&signals->graph, signals->values);
-    if (signals->ruled && live)
-        drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
-    else
+    // Whether a node is true changes with what it holds, or, of an edge, in the period after.
+    bool same = held == signals->graph.held, steady = signals->by_nodes && signals->steady && same;
+    signals->steady = same;
+    if (!(signals->ruled && live)) {
         switch_off(signals, board, clock);
+        signals->steady = false;
+    } else if (!steady) {
+        drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
+    }
     for (int32_t i = 0; i < signals->logic.triggers; i++)
         if (is_due(signals, i))
             readings_push(&signals->readings, time_us,

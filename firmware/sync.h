@@ -107,7 +107,6 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
 // The same in parts, for a device whose periods are short, which has no time for all of it in one: what
 // is known and how far the clock is off, the first as sync_steer is called; then the clock's rate; then
 // what is told of its error. The clock does not step.
-#define SYNC_PARTS 3
 void sync_carry(struct sync *sync, const struct sync_settings *settings,
                 const struct headway_clock *clock);
 void sync_lead(struct sync *sync, const struct sync_settings *settings,

@@ -30,6 +30,8 @@ def seen(**values: int | bool) -> _core.Observation:
         "power": True,
         "driven": True,
         "bounded": True,
+        "supplied": True,
+        "heat_periods": 1,
     }
     for name, value in (defaults | values).items():
         setattr(observation, name, value)

@@ -1231,7 +1231,10 @@ class Watcher:
         found.append(self.encoder(s))
         if s["driven"]:
             found.append(self.stuck(s, moved))
-        found += [self.supply(s), self.heat(s)]
+        if s["supplied"]:
+            found.append(self.supply(s))
+        if s["heat_periods"]:
+            found.append(self.heat(s))
         if s["driven"]:
             found.append(self.motion(s))
         real = [f for f in found if f]
@@ -1274,11 +1277,12 @@ class Watcher:
 
     def heat(self, s: dict[str, int]) -> Found | None:
         mantissa, shift = self.load
-        load = min(abs(s["torque_tq"]) * mantissa >> shift, 1 << 15)  # 1/256
-        self.losses += load * load - (1 << 16)
+        torque, periods = abs(s["torque_tq"]) if s["power"] else 0, s["heat_periods"]
+        load = min(torque * mantissa >> shift, 1 << 15)  # 1/256
+        self.losses += (load * load - (1 << 16)) * periods
         self.least = min(self.least, self.losses)
-        self.block.append(load * load)
-        if len(self.block) == 256:
+        self.block += [load * load] * periods
+        if len(self.block) >= 256:
             mean = sum(self.block) // 256
             change = Fraction((mean - int(self.rise // 1)) * self.allowed["heating_q16"], 1 << 16)
             self.rise += change

@@ -18,6 +18,7 @@ QUIET: dict[str, Value] = {
     "count": 0, "position_pq": 0, "setpoint_pq": 0, "error_pq": 0, "torque_tq": 0,
     "torque_limit_tq": 10_000, "feedback_tq": 0, "clipped": 0, "supply_mV": 24_000, "late_us": 0,
     "power": 1, "driven": 1, "bounded": 1, "may_stand": 0,
+    "supplied": 1, "heat_periods": 1,
 }  # fmt: skip
 LOAD_ONE = 4096  # tq: 256 with load_q8 1/16
 
@@ -183,6 +184,25 @@ def _late() -> Iterator[str]:
             yield from _anew()
             yield _step(late_us=late, power=power)
             yield _step(late_us=0)
+
+
+def _turns() -> Iterator[str]:
+    """Periods in which the supply, or the motor's heat, is another's turn."""
+    for supply in (17_999, 30_001, 28_001):
+        yield from _anew()
+        for _ in range(4):
+            yield _step(supply_mV=supply, supplied=0, times=3)
+            yield _step(supplied=1)
+        yield _step(supply_mV=24_000, supplied=0, times=5)
+        yield _step(supplied=1)
+    for periods in (2, 8, 255):
+        for torque in (LOAD_ONE - 16, LOAD_ONE + 16, -3 * LOAD_ONE, 1 << 24):
+            yield from _anew(rise_q16=66_000, overload=400)
+            yield _step(torque_tq=torque, heat_periods=0, times=7)
+            yield _step(heat_periods=periods, times=300 // periods)
+            yield _step(times=2)
+            yield _step(power=0)
+            yield _step(power=1, heat_periods=1, times=3)
 
 
 def _heat() -> Iterator[str]:
@@ -361,7 +381,18 @@ def monitors(rng: Random) -> Iterator[str]:
     """Each limit, a number at a time; then together."""
     yield line("monitor-usual", **SETTINGS)
     yield line("monitor-quiet", **QUIET)
-    for family in (_counts, _stuck, _supply, _late, _heat, _room, _inside, _motion, _at_once):
+    for family in (
+        _counts,
+        _stuck,
+        _supply,
+        _late,
+        _heat,
+        _turns,
+        _room,
+        _inside,
+        _motion,
+        _at_once,
+    ):
         yield f"# {family.__name__.strip('_')}"
         yield from family()
     yield "# together"
