@@ -1,6 +1,5 @@
 #include "clock.h"
 #include "fixed.h" // products
-#include "near.h"
 
 #define BRIEF_US 1000 // in less the rate makes less than 2^31 of it
 
@@ -26,7 +25,7 @@ int64_t clock_at(const struct headway_clock *clock, uint32_t count_us) {
            ((skewed_q32(clock, elapsed_us) + (int64_t)clock->fraction_q32) >> 32);
 }
 
-APART void clock_advance(struct headway_clock *clock, uint32_t count_us) {
+void clock_advance(struct headway_clock *clock, uint32_t count_us) {
     int32_t elapsed_us = elapsed(clock, count_us);
     int64_t fraction = (int64_t)clock->fraction_q32 + skewed_q32(clock, elapsed_us);
     clock->system_us += elapsed_us + (fraction >> 32);

@@ -62,7 +62,7 @@ void device_take_stamps(struct device *device, const struct sync_source *source,
               count_us, may_step);
 }
 
-static APART void measure(struct device *device, const struct board *board, int64_t time_us) {
+static void measure(struct device *device, const struct board *board, int64_t time_us) {
     device->encoder_count = board_encoder_count(board);
     device_locate(device);
     if (device->sample_wait-- == 0) {
@@ -145,7 +145,7 @@ static void follow_sync(struct device *device, uint32_t count_us) {
 }
 
 // What follows from time and from the emergency line.
-static APART void follow(struct device *device, const struct board *board, int64_t knot,
+static void follow(struct device *device, const struct board *board, int64_t knot,
                          uint32_t count_us) {
     if (device->state < DEVICE_FAULT)
         device->stop_count_us = count_us;
@@ -172,11 +172,12 @@ static APART void follow(struct device *device, const struct board *board, int64
 // step with a bus, and then each status would wait for its turn there as long as any other. After a
 // step of the clock it waits for the next period, which forgets the samples of the time before.
 void device_report(struct device *device, struct board *board) {
-    uint32_t count_us = board_count_us(board);
     if (device->settings.neighbours != 0)
         neighbours_speak(device, board);
-    if (!device->status_waits || device->sync.stepped ||
-        (int32_t)(count_us - device->status_us) < 0)
+    if (!device->status_waits || device->sync.stepped)
+        return;
+    uint32_t count_us = board_count_us(board);
+    if ((int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
     outbox_status(device, board, count_us);
@@ -227,9 +228,9 @@ static void look_ahead(struct device *device, int64_t knot) {
 }
 
 // Whose turn it is. What takes longest is alone.
-static const uint8_t duties[DEVICE_TURNS] = {
-    DUTY_CARRY, DUTY_AHEAD, DUTY_LEAD, DUTY_SUPPLY | DUTY_AHEAD,
-    DUTY_TELL,  DUTY_GAINS, DUTY_HEAT, DUTY_SUPPLY | DUTY_AHEAD,
+static const uint16_t duties[DEVICE_TURNS] = {
+    DUTY_CARRY, DUTY_KP | DUTY_SUPPLY, DUTY_LEAD, DUTY_AHEAD,
+    DUTY_TELL,  DUTY_KI | DUTY_KD,     DUTY_HEAT, DUTY_AHEAD,
 };
 
 static void take_turn(struct device *device) {
@@ -257,7 +258,7 @@ static void steer(struct device *device, struct headway_clock *clock) {
     }
 }
 
-static APART void run_period(struct device *device, struct board *board, uint32_t count_us,
+static void run_period(struct device *device, struct board *board, uint32_t count_us,
                              uint32_t late_us) {
     struct headway_clock *clock = &device->clock;
     NEAR(clock);

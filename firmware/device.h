@@ -44,10 +44,12 @@ enum device_duty {
     DUTY_LEAD = 2,    // its rate
     DUTY_TELL = 4,    // its error, and whether it can be relied on
     DUTY_HEAT = 8,    // of the motor
-    DUTY_GAINS = 16,  // by their tracks
-    DUTY_SUPPLY = 32, // and the chopper
-    DUTY_AHEAD = 64,  // a span of the next knot
-    DUTIES = 127,
+    DUTY_SUPPLY = 16, // and the chopper
+    DUTY_AHEAD = 32,  // a span of the next knot
+    DUTY_KP = 64,     // a gain by its track
+    DUTY_KI = 128,
+    DUTY_KD = 256,
+    DUTIES = 511,
 };
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
@@ -57,7 +59,7 @@ struct device {
     uint16_t sample_wait;   // servo periods until the next sample
     bool takes_turns;       // its periods are short
     uint8_t turn;           // of this period
-    uint8_t duties;         // of this period: bits of device_duty
+    uint16_t duties;        // of this period: bits of device_duty
     int32_t encoder_count;  // as the board has it
     int32_t offset_count;   // what it lacks to the axis' position
     int32_t position_pq;    // measured

@@ -22,8 +22,7 @@ static inline __attribute__((always_inline)) int32_t value(struct track *track,
     return span_value(track_span(track, at->knot), at->phase);
 }
 
-static inline __attribute__((always_inline)) struct scale
-gain(struct track *track, const struct instant *at, struct scale fixed) {
+static struct scale gain(struct track *track, const struct instant *at, struct scale fixed) {
     if (!track->written)
         return fixed;
     int32_t mantissa = value(track, at) >> 8; // points are mantissa Q8
@@ -31,16 +30,19 @@ gain(struct track *track, const struct instant *at, struct scale fixed) {
     return fixed;
 }
 
-// Apart, and called: its turn is not to slow the others.
-static __attribute__((noinline)) void find_gains(struct device *device, const struct instant *now) {
+// Apart, and called: their turns are not to slow the others.
+static APART void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
     const struct servo_settings *servo = &device->settings.servo;
     struct track *tracks = device->tracks;
-    device->setpoint.kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
-    device->setpoint.ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
-    device->setpoint.kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+    if (duties & DUTY_KP)
+        device->setpoint.kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
+    if (duties & DUTY_KI)
+        device->setpoint.ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
+    if (duties & DUTY_KD)
+        device->setpoint.kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
 }
 
-static APART void from_tracks(struct device *device, const struct instant *now,
+static void from_tracks(struct device *device, const struct instant *now,
                               struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
@@ -50,8 +52,8 @@ static APART void from_tracks(struct device *device, const struct instant *now,
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
     setpoint->velocity_pq = span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
     setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
-    if (device->duties & DUTY_GAINS)
-        find_gains(device, now);
+    if (device->duties & (DUTY_KP | DUTY_KI | DUTY_KD))
+        find_gains(device, now, device->duties);
     setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
     setpoint->integrate = servo->integrate_running;
 }
@@ -294,7 +296,9 @@ static void switch_outputs(struct device *device, struct board *board) {
 APART void drive(struct device *device, struct board *board, const struct instant *now,
                  uint32_t count_us) {
     enum source source = source_of(device, count_us);
-    set_brake(device, brake_wanted(device, source));
+    bool brakes = brake_wanted(device, source);
+    if (brakes || !device->status.released) // else it has let go, and there is nothing to do
+        set_brake(device, brakes);
     if (device->steps) {
         step(device, board, source);
     } else if (device->power && source != SOURCE_NONE) {

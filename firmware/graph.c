@@ -54,11 +54,13 @@ static int32_t evaluate(const struct logic_node *node, const int32_t *values, bo
 }
 
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
-    for (int32_t i = 0; i < graph->count; i++) {
-        const struct logic_node *node = &graph->nodes[i];
-        int32_t value = evaluate(node, values, graph->held >> i & 1);
-        bool held = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
-        graph->held = (uint16_t)((graph->held & ~(1u << i)) | (uint32_t)held << i);
+    const struct logic_node *node = graph->nodes;
+    uint32_t held = graph->held, bit = 1;
+    for (int32_t i = 0; i < graph->count; i++, node++, bit <<= 1) {
+        int32_t value = evaluate(node, values, held & bit);
+        bool holds = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
+        held = holds ? held | bit : held & ~bit;
         values[SOURCE_OF_NODES + i] = value;
     }
+    graph->held = (uint16_t)held;
 }
