@@ -83,7 +83,6 @@ static APART void watch(struct device *device, const struct board *board, uint32
                         uint32_t late_us) {
     uint32_t duties = device->duties;
     struct observation seen; // field by field: else all of it is set to 0 first
-    struct breach breach;
     seen.count = device->encoder_count;
     seen.position_pq = device->position_pq;
     seen.setpoint_pq = device->setpoint.position_pq;
@@ -102,9 +101,8 @@ static APART void watch(struct device *device, const struct board *board, uint32
     }
     if (duties & DUTY_HEAT)
         seen.heat_periods = duties == DUTIES ? 1 : DEVICE_TURNS;
-    monitor_step(&device->settings.monitor, &device->monitor, &seen, &breach);
-    if (breach.reason != REASON_NONE)
-        happen_breach(device, breach, count_us);
+    if (monitor_step(&device->settings.monitor, &device->monitor, &seen))
+        happen_breach(device, device->monitor.breach, count_us);
 }
 
 // The guard has braked, and the monitor may not have seen why.
@@ -146,7 +144,7 @@ static void follow_sync(struct device *device, uint32_t count_us) {
 
 // What follows from time and from the emergency line.
 static void follow(struct device *device, const struct board *board, int64_t knot,
-                         uint32_t count_us) {
+                   uint32_t count_us) {
     if (device->state < DEVICE_FAULT)
         device->stop_count_us = count_us;
     if (board_stop_line(board))
@@ -229,8 +227,10 @@ static void look_ahead(struct device *device, int64_t knot) {
 
 // Whose turn it is. What takes longest is alone.
 static const uint16_t duties[DEVICE_TURNS] = {
-    DUTY_CARRY, DUTY_KP | DUTY_SUPPLY, DUTY_LEAD, DUTY_AHEAD,
-    DUTY_TELL,  DUTY_KI | DUTY_KD,     DUTY_HEAT, DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_CARRY, DUTY_SPEED | DUTY_KP | DUTY_SUPPLY,
+    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_TELL,  DUTY_SPEED | DUTY_KI | DUTY_KD,
+    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_AHEAD,
 };
 
 static void take_turn(struct device *device) {
@@ -259,7 +259,7 @@ static void steer(struct device *device, struct headway_clock *clock) {
 }
 
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
-                             uint32_t late_us) {
+                       uint32_t late_us) {
     struct headway_clock *clock = &device->clock;
     NEAR(clock);
     clock_advance(clock, count_us);
@@ -275,8 +275,9 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     look_ahead(device, now.knot);
     if (device->signals.used || !signals_idle(&device->signals))
         run_signals(device, board, &now);
-    admit_advance(device, count_us);
-    if (now.knot != device->status_knot) {
+    if (device->duties & DUTY_TELL)
+        admit_advance(device, count_us);
+    if ((uint32_t)now.knot != (uint32_t)device->status_knot) {
         device->status_knot = now.knot;
         device->status_waits = true;
         device->status_us = count_us;

@@ -49,7 +49,9 @@ enum device_duty {
     DUTY_KP = 64,     // a gain by its track
     DUTY_KI = 128,
     DUTY_KD = 256,
-    DUTIES = 511,
+    DUTY_SPEED = 512,   // feed-forward along the position track ...
+    DUTY_TORQUE = 1024, // ... and the torque track: each in every other period
+    DUTIES = 2047,
 };
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.

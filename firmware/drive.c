@@ -42,22 +42,6 @@ static APART void find_gains(struct device *device, const struct instant *now, u
         device->setpoint.kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
 }
 
-static void from_tracks(struct device *device, const struct instant *now,
-                              struct setpoint *setpoint) {
-    const struct device_settings *settings = &device->settings;
-    const struct servo_settings *servo = &settings->servo;
-    struct track *tracks = device->tracks;
-    // The output holds for a whole period: the least that feed-forward leads by is half of it.
-    struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
-    setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
-    setpoint->velocity_pq = span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
-    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
-    if (device->duties & (DUTY_KP | DUTY_KI | DUTY_KD))
-        find_gains(device, now, device->duties);
-    setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
-    setpoint->integrate = servo->integrate_running;
-}
-
 // What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
 static __attribute__((noinline)) int32_t accelerating(const struct device *device,
                                                       const struct instant *now) {
@@ -65,6 +49,29 @@ static __attribute__((noinline)) int32_t accelerating(const struct device *devic
     struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
     int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
     return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
+}
+
+static void from_tracks(struct device *device, const struct instant *now,
+                        struct setpoint *setpoint) {
+    const struct device_settings *settings = &device->settings;
+    const struct servo_settings *servo = &settings->servo;
+    struct track *tracks = device->tracks;
+    uint32_t duties = device->duties;
+    // The output holds for a while: the least that feed-forward leads by is half of it.
+    struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
+    setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
+    if (duties & DUTY_SPEED)
+        setpoint->velocity_pq =
+            span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
+    if (duties & DUTY_TORQUE) {
+        setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
+        if (servo->acceleration_tq.mantissa)
+            setpoint->torque_tq += accelerating(device, now);
+    }
+    if (duties & (DUTY_KP | DUTY_KI | DUTY_KD))
+        find_gains(device, now, duties);
+    setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
+    setpoint->integrate = servo->integrate_running;
 }
 
 // A place beside the tracks, how it moves in a period, and the torque that is needed there.
@@ -93,12 +100,11 @@ static bool ramps(const struct device *device, uint32_t count_us) {
 static enum source source_of(const struct device *device, uint32_t count_us) {
     if (device->guard.verdict != GUARD_LETS)
         return SOURCE_NONE;
+    if (device->state == DEVICE_RUNNING || device->state == DEVICE_COAST)
+        return SOURCE_TRACKS;
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
-    case DEVICE_RUNNING:
-    case DEVICE_COAST:
-        return SOURCE_TRACKS;
     case DEVICE_TAIL:
         return SOURCE_RAMP;
     case DEVICE_HOLD:
@@ -231,8 +237,6 @@ static void find_setpoint(struct device *device, struct board *board, const stru
                           enum source source, struct setpoint *setpoint) {
     if (source == SOURCE_TRACKS) {
         from_tracks(device, now, setpoint);
-        if (device->settings.servo.acceleration_tq.mantissa)
-            setpoint->torque_tq += accelerating(device, now);
         return;
     }
     at(device, lead(device, board, source), setpoint);

@@ -1,5 +1,6 @@
 #include "graph.h"
 #include "fixed.h" // clamp
+#include "near.h"
 
 static bool reads_two(uint8_t kind) {
     return kind == NODE_ADD || kind == NODE_MULTIPLY || kind == NODE_GATE;
@@ -53,7 +54,7 @@ static int32_t evaluate(const struct logic_node *node, const int32_t *values, bo
     }
 }
 
-void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
+APART void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
     const struct logic_node *node = graph->nodes;
     uint32_t held = graph->held, bit = 1;
     for (int32_t i = 0; i < graph->count; i++, node++, bit <<= 1) {

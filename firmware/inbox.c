@@ -234,8 +234,8 @@ static void take(struct device *device, struct board *board, uint8_t *packet, in
 }
 
 // Of the packets that wait, the first has come. Apart, and called: mostly there is none.
-static APART void take_all(struct device *device, struct board *board, uint8_t *packet, int32_t size,
-                           int32_t port, uint32_t arrived_us) {
+static APART void take_all(struct device *device, struct board *board, uint8_t *packet,
+                           int32_t size, int32_t port, uint32_t arrived_us) {
     for (int32_t i = 1;; i++) {
         uint32_t count_us = board_count_us(board);
         enum admission admission = admit_packet(device, packet, size, port, count_us);

@@ -780,9 +780,9 @@ static void bind_stops(nb::module_ &m) {
             [](monitor &w, const monitor_settings &settings, const Observation &o) {
                 observation seen = o;
                 seen.servo = &o;
-                breach b{};
-                monitor_step(&settings, &w, &seen, &b);
-                return nb::make_tuple((int)b.reason, b.value, b.limit);
+                if (!monitor_step(&settings, &w, &seen))
+                    return nb::make_tuple((int)REASON_NONE, 0, 0);
+                return nb::make_tuple((int)w.breach.reason, w.breach.value, w.breach.limit);
             },
             "settings"_a, "seen"_a);
     nb::class_<stepper>(m, "Stepper")

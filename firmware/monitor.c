@@ -16,8 +16,9 @@ void monitor_begin(struct monitor *monitor) {
 
 // Of two that one period found: the one with the sterner response, else the first. Apart, and called:
 // what hardly ever happens is not to make way for what always does.
-static APART void found(struct breach *worst, enum fault_reason reason, int32_t value,
+static APART void found(struct monitor *monitor, enum fault_reason reason, int32_t value,
                         int32_t limit) {
+    struct breach *worst = &monitor->breach;
     if (worst->reason != REASON_NONE && fault_response(reason) <= fault_response(worst->reason))
         return;
     worst->reason = reason;
@@ -27,12 +28,12 @@ static APART void found(struct breach *worst, enum fault_reason reason, int32_t 
 
 // The encoder's counts: a jump is lost pulses or a broken wire.
 static void watch_count(const struct monitor_settings *settings, struct monitor *monitor,
-                        int32_t count, struct breach *worst) {
+                        int32_t count) {
     int32_t change = monitor->primed ? fixed_difference(count, monitor->count) : 0;
     monitor->primed = true;
     monitor->count = count;
     if (change > settings->spike_counts || change < -settings->spike_counts)
-        found(worst, REASON_SPIKE, change, settings->spike_counts);
+        found(monitor, REASON_SPIKE, change, settings->spike_counts);
     else
         monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
 }
@@ -42,7 +43,7 @@ static void watch_count(const struct monitor_settings *settings, struct monitor 
 // load is held by any torque for as long as it takes; and a homing stop or a brake is there to stand
 // against.
 static void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
-                        const struct observation *seen, bool moved, struct breach *worst) {
+                        const struct observation *seen, bool moved) {
     if (moved || !monitor->begun || seen->may_stand) {
         monitor->still_pq = seen->setpoint_pq;
         monitor->still_tq = seen->servo->torque_tq;
@@ -51,30 +52,30 @@ static void watch_stuck(const struct monitor_settings *settings, struct monitor 
     monitor->begun = true;
     int32_t way_pq = fixed_difference(seen->setpoint_pq, monitor->still_pq);
     if (way_pq > settings->stuck_pq || way_pq < -settings->stuck_pq) {
-        found(worst, REASON_STUCK, way_pq, settings->stuck_pq);
+        found(monitor, REASON_STUCK, way_pq, settings->stuck_pq);
         return;
     }
     bool pushed =
         magnitude(seen->servo->torque_tq - monitor->still_tq) >= seen->torque_limit_tq / 2;
     monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
     if (monitor->still_periods > settings->stuck_periods)
-        found(worst, REASON_STUCK, (int32_t)monitor->still_periods,
+        found(monitor, REASON_STUCK, (int32_t)monitor->still_periods,
               (int32_t)settings->stuck_periods);
 }
 
 // The chopper works whether the bridge is on or not: the bridge's capacitor may be full either way.
 static APART void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
-                               int32_t supply_mV, bool power, struct breach *worst) {
+                               int32_t supply_mV, bool power) {
     int32_t off_mV = settings->chopper_mV - (settings->chopper_mV >> MONITOR_CHOPPER_OFF_SHIFT);
     monitor->chopper = supply_mV > (monitor->chopper ? off_mV : settings->chopper_mV);
     monitor->under = power && supply_mV < settings->supply_min_mV ? monitor->under + 1 : 0;
     monitor->over = power && supply_mV > settings->supply_max_mV ? monitor->over + 1 : 0;
     if (monitor->under >= MONITOR_SUPPLY_PERIODS) {
         monitor->under = 0;
-        found(worst, REASON_UNDERVOLTAGE, supply_mV, settings->supply_min_mV);
+        found(monitor, REASON_UNDERVOLTAGE, supply_mV, settings->supply_min_mV);
     } else if (monitor->over >= MONITOR_SUPPLY_PERIODS) {
         monitor->over = 0;
-        found(worst, REASON_OVERVOLTAGE, supply_mV, settings->supply_max_mV);
+        found(monitor, REASON_OVERVOLTAGE, supply_mV, settings->supply_max_mV);
     }
 }
 
@@ -92,7 +93,7 @@ static APART void warm(const struct monitor_settings *settings, struct monitor *
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
 // winding's temperature for minutes.
 static APART void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                             int32_t torque_tq, uint8_t periods, struct breach *worst) {
+                             int32_t torque_tq, uint8_t periods) {
     int32_t load_q8 =
         fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
@@ -104,9 +105,9 @@ static APART void watch_heat(const struct monitor_settings *settings, struct mon
     if (monitor->heat_periods >= MONITOR_HEAT_PERIODS)
         warm(settings, monitor);
     if (monitor->overload >> 16 > (int64_t)settings->overload)
-        found(worst, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
+        found(monitor, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
     else if (monitor->rise_q16 > settings->rise_q16)
-        found(worst, REASON_WINDING, monitor->rise_q16, settings->rise_q16);
+        found(monitor, REASON_WINDING, monitor->rise_q16, settings->rise_q16);
 }
 
 // v^2 / 2 <= a (limit - position): these two products need 64 bits.
@@ -126,20 +127,20 @@ static inline bool has_room(uint32_t pace, uint32_t room, uint32_t deceleration_
 // In the direction of motion. Past
 // the limit a ramp that began where the axis was found would follow it out, again and again: there
 // only the brake ends it. False if there is no room.
-static bool watch_room(const struct monitor_settings *settings, int32_t speed, int32_t position_pq,
-                       struct breach *worst) {
+static bool watch_room(const struct monitor_settings *settings, struct monitor *monitor,
+                       int32_t speed, int32_t position_pq) {
     bool up = speed > 0;
     int32_t limit = up ? settings->high_pq : settings->low_pq;
     uint32_t pace = (uint32_t)fixed_clamp(magnitude(speed), 1 << 22);
     uint32_t room =
         up ? (uint32_t)limit - (uint32_t)position_pq : (uint32_t)position_pq - (uint32_t)limit;
     if (up ? position_pq > limit : position_pq < limit) {
-        found(worst, REASON_OUTSIDE, position_pq, limit);
+        found(monitor, REASON_OUTSIDE, position_pq, limit);
         return false;
     }
     if (has_room(pace, room, (uint32_t)settings->deceleration_q16))
         return true;
-    found(worst, REASON_ROOM, position_pq, limit);
+    found(monitor, REASON_ROOM, position_pq, limit);
     return false;
 }
 
@@ -159,47 +160,47 @@ bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq
 }
 
 static void watch_motion(const struct monitor_settings *settings, struct monitor *monitor,
-                         const struct observation *seen, struct breach *worst) {
+                         const struct observation *seen) {
     int32_t speed = monitor_speed_pq(monitor);
     if (speed > settings->speed_pq || speed < -settings->speed_pq) {
-        found(worst, REASON_SPEED, speed, settings->speed_pq);
+        found(monitor, REASON_SPEED, speed, settings->speed_pq);
         return;
     }
     if (settings->bounded && seen->bounded &&
-        !watch_room(settings, speed, seen->position_pq, worst))
+        !watch_room(settings, monitor, speed, seen->position_pq))
         return;
     bool behind = magnitude(seen->servo->error_pq) > settings->following_pq;
     monitor->following = behind ? monitor->following + 1 : 0;
     if (monitor->following > settings->following_periods) {
-        found(worst, why_behind(seen, speed), seen->servo->error_pq, settings->following_pq);
+        found(monitor, why_behind(seen, speed), seen->servo->error_pq, settings->following_pq);
     } else {
         monitor->torque = seen->servo->clipped ? monitor->torque + 1 : 0;
         if (monitor->torque > settings->torque_periods)
-            found(worst, REASON_TORQUE, (int32_t)monitor->torque,
+            found(monitor, REASON_TORQUE, (int32_t)monitor->torque,
                   (int32_t)settings->torque_periods);
     }
 }
 
-static void watch_late(const struct monitor_settings *settings, const struct observation *seen,
-                       struct breach *worst) {
+static void watch_late(const struct monitor_settings *settings, struct monitor *monitor,
+                       const struct observation *seen) {
     if (seen->power && seen->late_us > settings->late_us)
-        found(worst, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
+        found(monitor, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
-APART void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                        const struct observation *seen, struct breach *worst) {
-    worst->reason = REASON_NONE;
+APART bool monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                        const struct observation *seen) {
+    monitor->breach.reason = REASON_NONE;
     bool moved = monitor->primed && seen->count != monitor->count;
     // First: a period that comes late finds the encoder far away, and that is no jump.
-    watch_late(settings, seen, worst);
-    watch_count(settings, monitor, seen->count, worst);
+    watch_late(settings, monitor, seen);
+    watch_count(settings, monitor, seen->count);
     if (seen->supplied)
-        watch_supply(settings, monitor, seen->supply_mV, seen->power, worst);
+        watch_supply(settings, monitor, seen->supply_mV, seen->power);
     if (seen->heat_periods != 0)
-        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods,
-                   worst);
-    if (!seen->driven)
-        return;
-    watch_stuck(settings, monitor, seen, moved, worst);
-    watch_motion(settings, monitor, seen, worst);
+        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
+    if (seen->driven) {
+        watch_stuck(settings, monitor, seen, moved);
+        watch_motion(settings, monitor, seen);
+    }
+    return monitor->breach.reason != REASON_NONE;
 }

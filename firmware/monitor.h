@@ -32,8 +32,15 @@ struct monitor_settings {
     uint32_t late_us; // of a servo period
 };
 
+// A breach; reason REASON_NONE if there is none.
+struct breach {
+    enum fault_reason reason;
+    int32_t value, limit;
+};
+
 struct monitor {
-    bool primed; // `count` is the last one
+    struct breach breach; // of the last period; if there is none, only its reason is set
+    bool primed;          // `count` is the last one
     int32_t count;
     int32_t speed_sum;  // of count differences in pq, a first-order low-pass over 8 periods
     uint16_t following; // periods beyond the limit, in a row
@@ -68,16 +75,10 @@ struct observation {
     bool may_stand;       // standing still is what it is there for
 };
 
-// A breach; reason REASON_NONE if there is none.
-struct breach {
-    enum fault_reason reason;
-    int32_t value, limit;
-};
-
-// One servo period. The worst breach is told: what forbids the ramp before what does not. If there is
-// none, only its reason is set.
-void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                  const struct observation *seen, struct breach *worst);
+// One servo period; returns whether there is a breach. The worst one is told: what forbids the ramp
+// before what does not.
+bool monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                  const struct observation *seen);
 
 // Whether a position is within the last limits.
 bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq);

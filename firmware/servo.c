@@ -19,6 +19,16 @@ static void integrate(struct servo *servo, const struct setpoint *setpoint, int3
     servo->integral = fixed_add(servo->integral, step, limit);
 }
 
+// What the track's speed asks for. Of no speed it is nothing, as of a servo that begins.
+static APART void lead(const struct servo_settings *settings, struct servo *servo,
+                       int32_t velocity_pq) {
+    servo->velocity_pq = velocity_pq;
+    servo->forward_tq = 0;
+    if (settings->velocity_tq.mantissa != 0)
+        servo->forward_tq = fixed_scale_less(velocity_pq, settings->velocity_tq, TERM_BITS);
+    servo->forward_mV = fixed_scale_less(velocity_pq, settings->emf_mV, VOLTAGE_BITS);
+}
+
 int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
     if (!continuous)
         encoder_count = fixed_clamp(encoder_count, (1 << (30 - SERVO_COUNT_BITS)) - 1);
@@ -45,16 +55,15 @@ APART int32_t servo_step(const struct servo_settings *settings, struct servo *se
                           fixed_scale_small(difference_pq, setpoint->kd, TERM_BITS) +
                           (servo->integral >> SERVO_INTEGRAL_BITS);
     servo->feedback_tq = fixed_clamp(feedback_tq + emf_tq, setpoint->feedback_limit_tq) - emf_tq;
-    servo->unclipped_tq =
-        servo->feedback_tq + fixed_within(setpoint->torque_tq, TERM_BITS) + emf_tq;
-    if (settings->velocity_tq.mantissa != 0)
-        servo->unclipped_tq +=
-            fixed_scale_less(setpoint->velocity_pq, settings->velocity_tq, TERM_BITS);
+    if (setpoint->velocity_pq != servo->velocity_pq)
+        lead(settings, servo, setpoint->velocity_pq);
+    servo->unclipped_tq = servo->feedback_tq + servo->forward_tq +
+                          fixed_within(setpoint->torque_tq, TERM_BITS) + emf_tq;
     servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);
 
     int32_t voltage_mV =
         fixed_scale_less(servo->torque_tq - emf_tq, settings->resistance_mV, VOLTAGE_BITS) +
-        fixed_scale_less(setpoint->velocity_pq, settings->emf_mV, VOLTAGE_BITS);
+        servo->forward_mV;
     int32_t duty = fixed_scale_small(voltage_mV, settings->supply_duty, DUTY_BITS);
     servo->clipped = servo->torque_tq != servo->unclipped_tq;
     servo->saturated = servo->clipped || duty > SERVO_DUTY_MAX || duty < -SERVO_DUTY_MAX;

@@ -32,7 +32,10 @@ struct servo_settings {
 };
 
 struct servo {
-    bool primed; // `error_pq` is valid
+    bool primed;         // `error_pq` is valid
+    int32_t velocity_pq; // of the track, as ...
+    int32_t forward_tq;  // ... what it asks for ...
+    int32_t forward_mV;  // ... was made of it
     int32_t error_pq;
     int32_t integral;       // tq / 2^6
     int32_t difference_sum; // of error differences, a first-order low-pass over 8 periods

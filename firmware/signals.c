@@ -1,5 +1,6 @@
 #include "signals.h"
 #include "fixed.h" // clamp
+#include "near.h"
 #include <string.h>
 
 #define ALL_PWM ((1u << BOARD_PWM) - 1)
@@ -165,8 +166,8 @@ static void set_pwm(struct signals *signals, struct board *board, int32_t output
 }
 
 // What nothing drives is told once that it is off.
-static void drive_outputs(struct signals *signals, struct board *board,
-                          const struct headway_clock *clock, int64_t until_us) {
+static APART void drive_outputs(struct signals *signals, struct board *board,
+                                const struct headway_clock *clock, int64_t until_us) {
     const struct logic *logic = &signals->logic;
     uint32_t left = signals->digitals | signals->on | signals->ahead;
     for (int32_t i = 0; left != 0; i++, left >>= 1) {
@@ -202,8 +203,15 @@ static bool is_due(struct signals *signals, int32_t i) {
     return true;
 }
 
-static void switch_off(struct signals *signals, struct board *board,
-                       const struct headway_clock *clock) {
+static APART void take_readings(struct signals *signals, int64_t time_us) {
+    for (int32_t i = 0; i < signals->logic.triggers; i++)
+        if (is_due(signals, i))
+            readings_push(&signals->readings, time_us,
+                          signals->values[signals->logic.trigger[i].source], (uint8_t)i);
+}
+
+static APART void switch_off(struct signals *signals, struct board *board,
+                             const struct headway_clock *clock) {
     for (int32_t i = 0; i < BOARD_DIGITAL; i++)
         set_digital(signals, board, i, false, clock->count_us);
     for (int32_t i = 0; i < BOARD_PWM; i++)
@@ -215,13 +223,18 @@ bool signals_idle(const struct signals *signals) {
     return !signals->used && signals->on == 0 && signals->ahead == 0 && signals->pwm_off == ALL_PWM;
 }
 
-void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
-                  uint16_t period_us, bool live) {
-    int64_t time_us = clock->system_us;
+static APART void follow_pieces(struct signals *signals, int64_t time_us) {
     uint32_t left = signals->begun;
     for (int32_t i = 0; left != 0; i++, left >>= 1)
         if (left & 1)
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
+}
+
+void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
+                  uint16_t period_us, bool live) {
+    int64_t time_us = clock->system_us;
+    if (signals->begun != 0)
+        follow_pieces(signals, time_us);
     uint16_t held = signals->graph.held;
     graph_step(&signals->graph, signals->values);
     // Whether a node is true changes with what it holds, or, of an edge, in the period after.
@@ -233,10 +246,8 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
     } else if (!steady) {
         drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
     }
-    for (int32_t i = 0; i < signals->logic.triggers; i++)
-        if (is_due(signals, i))
-            readings_push(&signals->readings, time_us,
-                          signals->values[signals->logic.trigger[i].source], (uint8_t)i);
+    if (signals->logic.triggers != 0)
+        take_readings(signals, time_us);
 }
 
 void signals_restart(struct signals *signals) {
