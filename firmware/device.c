@@ -79,8 +79,8 @@ static bool may_stand(const struct device *device) {
 }
 
 // The last period's motion, judged.
-static APART void watch(struct device *device, const struct board *board, uint32_t count_us,
-                        uint32_t late_us) {
+static void watch(struct device *device, const struct board *board, uint32_t count_us,
+                  uint32_t late_us) {
     uint32_t duties = device->duties;
     struct observation seen; // field by field: else all of it is set to 0 first
     seen.count = device->encoder_count;
@@ -101,7 +101,8 @@ static APART void watch(struct device *device, const struct board *board, uint32
     }
     if (duties & DUTY_HEAT)
         seen.heat_periods = duties == DUTIES ? 1 : DEVICE_TURNS;
-    if (monitor_step(&device->settings.monitor, &device->monitor, &seen))
+    monitor_step(&device->settings.monitor, &device->monitor, &seen);
+    if (device->monitor.breach.reason != REASON_NONE)
         happen_breach(device, device->monitor.breach, count_us);
 }
 

@@ -43,8 +43,7 @@ static APART void find_gains(struct device *device, const struct instant *now, u
 }
 
 // What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
-static __attribute__((noinline)) int32_t accelerating(const struct device *device,
-                                                      const struct instant *now) {
+static APART int32_t accelerating(const struct device *device, const struct instant *now) {
     const struct device_settings *settings = &device->settings;
     struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
     int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
@@ -97,11 +96,7 @@ static bool ramps(const struct device *device, uint32_t count_us) {
     return device->power && device->trusted && !device->brake && !device->ramp.resting && !forced;
 }
 
-static enum source source_of(const struct device *device, uint32_t count_us) {
-    if (device->guard.verdict != GUARD_LETS)
-        return SOURCE_NONE;
-    if (device->state == DEVICE_RUNNING || device->state == DEVICE_COAST)
-        return SOURCE_TRACKS;
+static APART enum source source_beside(const struct device *device, uint32_t count_us) {
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
@@ -120,6 +115,13 @@ static enum source source_of(const struct device *device, uint32_t count_us) {
     if (!device->power) // else until the brake has engaged
         return SOURCE_NONE;
     return device->trusted ? SOURCE_HOLD : SOURCE_OPEN;
+}
+
+static enum source source_of(const struct device *device, uint32_t count_us) {
+    if (device->guard.verdict != GUARD_LETS)
+        return SOURCE_NONE;
+    bool executes = device->state == DEVICE_RUNNING || device->state == DEVICE_COAST;
+    return executes ? SOURCE_TRACKS : source_beside(device, count_us);
 }
 
 // When the brake has to let go for a first plan.
@@ -154,7 +156,7 @@ static void switch_off(struct device *device) {
     device->power = false;
 }
 
-static void set_brake(struct device *device, bool on) {
+static APART void set_brake(struct device *device, bool on) {
     if (device->brake != on)
         device->brake_periods = 0;
     else if (device->brake_periods < device->settings.brake_periods)
@@ -224,8 +226,7 @@ static struct pose run_ramp(struct device *device) {
 }
 
 // Where there are no tracks to follow. Apart, and called: so the servo's setpoint stays in registers.
-static __attribute__((noinline)) struct pose lead(struct device *device, struct board *board,
-                                                  enum source source) {
+static APART struct pose lead(struct device *device, struct board *board, enum source source) {
     if (source == SOURCE_RAMP)
         return run_ramp(device);
     if (source == SOURCE_TASK)
@@ -233,12 +234,8 @@ static __attribute__((noinline)) struct pose lead(struct device *device, struct 
     return (struct pose){device->hold_pq, 0, device->hold_tq};
 }
 
-static void find_setpoint(struct device *device, struct board *board, const struct instant *now,
-                          enum source source, struct setpoint *setpoint) {
-    if (source == SOURCE_TRACKS) {
-        from_tracks(device, now, setpoint);
-        return;
-    }
+static APART void find_beside(struct device *device, struct board *board, enum source source) {
+    struct setpoint *setpoint = &device->setpoint;
     at(device, lead(device, board, source), setpoint);
     if (source == SOURCE_TASK)
         setpoint->feedback_limit_tq = device->settings.home.torque_tq;
@@ -266,8 +263,7 @@ static int32_t find_target(struct device *device, struct board *board, enum sour
 
 // A stepper's pulses are told a period ahead: the board gives those of a window by itself, however
 // late the servo is. Apart, and called: a servo's tick is not to make way for it.
-static __attribute__((noinline)) void step(struct device *device, struct board *board,
-                                           enum source source) {
+static APART void step(struct device *device, struct board *board, enum source source) {
     const struct device_settings *settings = &device->settings;
     struct stepper *stepper = &device->stepper;
     board_set_duty(board, 0);
@@ -290,15 +286,20 @@ static uint8_t outputs(const struct device *device) {
 }
 
 // When they change, and else now and then, in case that the board has lost one.
-static void switch_outputs(struct device *device, struct board *board) {
+static APART void switch_outputs(struct device *device, struct board *board) {
     device->outputs = outputs(device);
     board_set_brake(board, device->brake);
     board_set_power(board, device->power);
     board_set_chopper(board, device->monitor.chopper);
 }
 
-APART void drive(struct device *device, struct board *board, const struct instant *now,
-                 uint32_t count_us) {
+static APART void save_faults(struct device *device, struct board *board) {
+    store_save_faults(board, &device->faults);
+    device->faults_unsaved = false;
+}
+
+void drive(struct device *device, struct board *board, const struct instant *now,
+           uint32_t count_us) {
     enum source source = source_of(device, count_us);
     bool brakes = brake_wanted(device, source);
     if (brakes || !device->status.released) // else it has let go, and there is nothing to do
@@ -312,7 +313,10 @@ APART void drive(struct device *device, struct board *board, const struct instan
         NEAR(settings);
         NEAR(servo);
         NEAR(setpoint);
-        find_setpoint(device, board, now, source, setpoint);
+        if (source == SOURCE_TRACKS)
+            from_tracks(device, now, setpoint);
+        else
+            find_beside(device, board, source);
         int32_t duty = servo_step(settings, servo, setpoint, device->position_pq);
         board_set_duty(board, duty);
         note_torque(&device->status, servo);
@@ -322,8 +326,6 @@ APART void drive(struct device *device, struct board *board, const struct instan
     if (device->duties & DUTY_TELL || outputs(device) != device->outputs)
         switch_outputs(device, board);
     guard_assert(&device->guard, board); // it may have tripped between these lines
-    if (device->faults_unsaved) {        // at once, and after all outputs: a reset may come next
-        store_save_faults(board, &device->faults);
-        device->faults_unsaved = false;
-    }
+    if (device->faults_unsaved)          // at once, and after all outputs: a reset may come next
+        save_faults(device, board);
 }

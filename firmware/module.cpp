@@ -780,7 +780,8 @@ static void bind_stops(nb::module_ &m) {
             [](monitor &w, const monitor_settings &settings, const Observation &o) {
                 observation seen = o;
                 seen.servo = &o;
-                if (!monitor_step(&settings, &w, &seen))
+                monitor_step(&settings, &w, &seen);
+                if (w.breach.reason == REASON_NONE)
                     return nb::make_tuple((int)REASON_NONE, 0, 0);
                 return nb::make_tuple((int)w.breach.reason, w.breach.value, w.breach.limit);
             },

@@ -26,37 +26,42 @@ static APART void found(struct monitor *monitor, enum fault_reason reason, int32
     worst->limit = limit;
 }
 
-// The encoder's counts: a jump is lost pulses or a broken wire.
-static void watch_count(const struct monitor_settings *settings, struct monitor *monitor,
-                        int32_t count) {
-    int32_t change = monitor->primed ? fixed_difference(count, monitor->count) : 0;
-    monitor->primed = true;
+// The encoder's counts: a jump is lost pulses or a broken wire. Returns whether there was any change.
+static inline bool watch_count(const struct monitor_settings *settings, struct monitor *monitor,
+                               int32_t count) {
+    int32_t change = fixed_difference(count, monitor->count);
+    if (!monitor->primed) {
+        monitor->primed = true;
+        change = 0;
+    }
     monitor->count = count;
     if (change > settings->spike_counts || change < -settings->spike_counts)
         found(monitor, REASON_SPIKE, change, settings->spike_counts);
     else
         monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
+    return change != 0;
 }
 
 // Pushed hard, by whatever asks for it, or led on by its setpoint, an axis moves: an encoder that shows
 // nothing is stuck. What counts is how the torque has changed since the last count: at rest a heavy
 // load is held by any torque for as long as it takes; and a homing stop or a brake is there to stand
 // against.
-static void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
-                        const struct observation *seen, bool moved) {
+static inline void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
+                               const struct observation *seen, bool moved) {
+    int32_t setpoint_pq = seen->setpoint_pq, torque_tq = seen->servo->torque_tq;
     if (moved || !monitor->begun || seen->may_stand) {
-        monitor->still_pq = seen->setpoint_pq;
-        monitor->still_tq = seen->servo->torque_tq;
+        monitor->begun = true;
+        monitor->still_pq = setpoint_pq;
+        monitor->still_tq = torque_tq;
         monitor->still_periods = 0;
+        return;
     }
-    monitor->begun = true;
-    int32_t way_pq = fixed_difference(seen->setpoint_pq, monitor->still_pq);
+    int32_t way_pq = fixed_difference(setpoint_pq, monitor->still_pq);
     if (way_pq > settings->stuck_pq || way_pq < -settings->stuck_pq) {
         found(monitor, REASON_STUCK, way_pq, settings->stuck_pq);
         return;
     }
-    bool pushed =
-        magnitude(seen->servo->torque_tq - monitor->still_tq) >= seen->torque_limit_tq / 2;
+    bool pushed = magnitude(torque_tq - monitor->still_tq) >= seen->torque_limit_tq >> 1;
     monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
     if (monitor->still_periods > settings->stuck_periods)
         found(monitor, REASON_STUCK, (int32_t)monitor->still_periods,
@@ -112,6 +117,7 @@ static APART void watch_heat(const struct monitor_settings *settings, struct mon
 
 // v^2 / 2 <= a (limit - position): these two products need 64 bits.
 static APART bool has_room_exactly(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
+    pace = pace > 1 << 22 ? 1 << 22 : pace;
     uint64_t energy_q16 = fixed_mul_u32(pace, pace) << 15; // v^2 / 2
     return energy_q16 <= fixed_mul_u32(room, deceleration_q16);
 }
@@ -119,36 +125,31 @@ static APART bool has_room_exactly(uint32_t pace, uint32_t room, uint32_t decele
 // The same. Where a room and a deceleration rounded down are enough, as nearly always, 32 bits are.
 static inline bool has_room(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
     uint32_t less_q8 = deceleration_q16 >> 8;
-    if ((pace | less_q8) >> 16 == 0 && pace * pace >> 9 < (room >> 16) * less_q8)
-        return true;
-    return has_room_exactly(pace, room, deceleration_q16);
+    return ((pace | less_q8) >> 16 == 0 && pace * pace >> 9 < (room >> 16) * less_q8) ||
+           has_room_exactly(pace, room, deceleration_q16);
 }
 
-// In the direction of motion. Past
-// the limit a ramp that began where the axis was found would follow it out, again and again: there
-// only the brake ends it. False if there is no room.
-static bool watch_room(const struct monitor_settings *settings, struct monitor *monitor,
-                       int32_t speed, int32_t position_pq) {
-    bool up = speed > 0;
-    int32_t limit = up ? settings->high_pq : settings->low_pq;
-    uint32_t pace = (uint32_t)fixed_clamp(magnitude(speed), 1 << 22);
-    uint32_t room =
-        up ? (uint32_t)limit - (uint32_t)position_pq : (uint32_t)position_pq - (uint32_t)limit;
-    if (up ? position_pq > limit : position_pq < limit) {
+// In the direction of motion. Past the limit a ramp that began where the axis was found would follow
+// it out, again and again: there only the brake ends it. False if there is no room.
+static inline bool watch_room(const struct monitor_settings *settings, struct monitor *monitor,
+                              int32_t speed, int32_t position_pq) {
+    int32_t limit = speed > 0 ? settings->high_pq : settings->low_pq;
+    bool outside = speed > 0 ? position_pq > limit : position_pq < limit;
+    uint32_t room = (uint32_t)limit - (uint32_t)position_pq;
+    if (outside)
         found(monitor, REASON_OUTSIDE, position_pq, limit);
-        return false;
-    }
-    if (has_room(pace, room, (uint32_t)settings->deceleration_q16))
+    else if (has_room((uint32_t)magnitude(speed), speed > 0 ? room : 0u - room,
+                      (uint32_t)settings->deceleration_q16))
         return true;
-    found(monitor, REASON_ROOM, position_pq, limit);
+    else
+        found(monitor, REASON_ROOM, position_pq, limit);
     return false;
 }
 
 // The torque of a loop whose encoder counts backwards makes its own error grow: the axis moves away
 // from its setpoint against the feedback, and the ramp, which trusts the same encoder, would drive it
 // on. An overpowered motor looks alike; there, too, only the brake helps.
-static enum fault_reason why_behind(const struct observation *seen, int32_t speed) {
-    const struct servo *servo = seen->servo;
+static enum fault_reason why_behind(const struct servo *servo, int32_t speed) {
     int32_t away = servo->error_pq > 0 ? -speed : speed;
     bool restoring = (servo->feedback_tq > 0) == (servo->error_pq > 0);
     return restoring && away > 1 << SERVO_COUNT_BITS ? REASON_REVERSED : REASON_FOLLOWING;
@@ -159,8 +160,8 @@ bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq
            (position_pq >= settings->low_pq && position_pq <= settings->high_pq);
 }
 
-static void watch_motion(const struct monitor_settings *settings, struct monitor *monitor,
-                         const struct observation *seen) {
+static inline void watch_motion(const struct monitor_settings *settings, struct monitor *monitor,
+                                const struct observation *seen) {
     int32_t speed = monitor_speed_pq(monitor);
     if (speed > settings->speed_pq || speed < -settings->speed_pq) {
         found(monitor, REASON_SPEED, speed, settings->speed_pq);
@@ -169,16 +170,18 @@ static void watch_motion(const struct monitor_settings *settings, struct monitor
     if (settings->bounded && seen->bounded &&
         !watch_room(settings, monitor, speed, seen->position_pq))
         return;
-    bool behind = magnitude(seen->servo->error_pq) > settings->following_pq;
-    monitor->following = behind ? monitor->following + 1 : 0;
-    if (monitor->following > settings->following_periods) {
-        found(monitor, why_behind(seen, speed), seen->servo->error_pq, settings->following_pq);
+    const struct servo *servo = seen->servo;
+    if (magnitude(servo->error_pq) > settings->following_pq) {
+        if (++monitor->following > settings->following_periods) {
+            found(monitor, why_behind(servo, speed), servo->error_pq, settings->following_pq);
+            return;
+        }
     } else {
-        monitor->torque = seen->servo->clipped ? monitor->torque + 1 : 0;
-        if (monitor->torque > settings->torque_periods)
-            found(monitor, REASON_TORQUE, (int32_t)monitor->torque,
-                  (int32_t)settings->torque_periods);
+        monitor->following = 0;
     }
+    monitor->torque = servo->clipped ? monitor->torque + 1 : 0;
+    if (monitor->torque > settings->torque_periods)
+        found(monitor, REASON_TORQUE, (int32_t)monitor->torque, (int32_t)settings->torque_periods);
 }
 
 static void watch_late(const struct monitor_settings *settings, struct monitor *monitor,
@@ -187,20 +190,18 @@ static void watch_late(const struct monitor_settings *settings, struct monitor *
         found(monitor, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
-APART bool monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                        const struct observation *seen) {
+void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                  const struct observation *seen) {
     monitor->breach.reason = REASON_NONE;
-    bool moved = monitor->primed && seen->count != monitor->count;
     // First: a period that comes late finds the encoder far away, and that is no jump.
     watch_late(settings, monitor, seen);
-    watch_count(settings, monitor, seen->count);
+    bool moved = watch_count(settings, monitor, seen->count);
     if (seen->supplied)
         watch_supply(settings, monitor, seen->supply_mV, seen->power);
     if (seen->heat_periods != 0)
         watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
-    if (seen->driven) {
-        watch_stuck(settings, monitor, seen, moved);
-        watch_motion(settings, monitor, seen);
-    }
-    return monitor->breach.reason != REASON_NONE;
+    if (!seen->driven)
+        return;
+    watch_stuck(settings, monitor, seen, moved);
+    watch_motion(settings, monitor, seen);
 }

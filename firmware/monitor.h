@@ -60,24 +60,24 @@ struct monitor {
 
 // What one servo period found.
 struct observation {
-    int32_t count;       // of the encoder
-    int32_t position_pq; // measured
+    bool power;           // the bridge is on: else only the encoder is judged
+    bool driven;          // the servo follows a setpoint
+    bool bounded;         // it is to be kept within its limits
+    bool may_stand;       // standing still is what it is there for
+    bool supplied;        // `supply_mV` is known
+    uint8_t heat_periods; // for which this torque stands, 0: is not judged
+    int32_t count;        // of the encoder
+    int32_t position_pq;  // measured
     int32_t setpoint_pq;
     const struct servo *servo; // after its last period
     int32_t torque_limit_tq;
     int32_t supply_mV;
-    uint32_t late_us;     // after it was due
-    bool power;           // the bridge is on: else only the encoder is judged
-    bool driven;          // the servo follows a setpoint
-    bool supplied;        // `supply_mV` is known
-    uint8_t heat_periods; // for which this torque stands, 0: is not judged
-    bool bounded;         // it is to be kept within its limits
-    bool may_stand;       // standing still is what it is there for
+    uint32_t late_us; // after it was due
 };
 
-// One servo period; returns whether there is a breach. The worst one is told: what forbids the ramp
-// before what does not.
-bool monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+// One servo period: `breach` says what it found. The worst one is told: what forbids the ramp before
+// what does not.
+void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
                   const struct observation *seen);
 
 // Whether a position is within the last limits.

@@ -35,8 +35,8 @@ int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
     return (int32_t)((uint32_t)encoder_count << SERVO_COUNT_BITS);
 }
 
-APART int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
-                         const struct setpoint *setpoint, int32_t measured_pq) {
+int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
+                   const struct setpoint *setpoint, int32_t measured_pq) {
     int32_t error_pq = fixed_difference(setpoint->position_pq, measured_pq);
     if (error_pq != (int16_t)error_pq) // so that no sum of differences overflows
         error_pq = fixed_clamp(error_pq, (1 << 29) - 1);

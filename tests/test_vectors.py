@@ -1252,6 +1252,7 @@ class Watcher:
     def stuck(self, s: dict[str, int], moved: bool) -> Found | None:
         if moved or self.still is None or s["may_stand"]:
             self.still, self.pushed = (s["setpoint_pq"], s["torque_tq"]), 0
+            return None
         way = wrapped(s["setpoint_pq"] - self.still[0], 32)
         if abs(way) > self.allowed["stuck_pq"]:
             return STUCK, way, self.allowed["stuck_pq"]

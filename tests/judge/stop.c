@@ -291,8 +291,8 @@ static void replay_monitor_step(void) {
     struct breach breach = {0};
     int64_t periods = 0;
     while (periods < times && breach.reason == REASON_NONE) {
-        if (monitor_step(&monitor_settings, &monitor, &seen))
-            breach = monitor.breach;
+        monitor_step(&monitor_settings, &monitor, &seen);
+        breach = monitor.breach;
         seen.count = fixed_sum(seen.count, step);
         periods++;
     }
