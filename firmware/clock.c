@@ -1,5 +1,6 @@
 #include "clock.h"
 #include "fixed.h" // products
+#include "near.h"
 
 #define BRIEF_US 1000 // in less the rate makes less than 2^31 of it
 
@@ -25,13 +26,27 @@ int64_t clock_at(const struct headway_clock *clock, uint32_t count_us) {
            ((skewed_q32(clock, elapsed_us) + (int64_t)clock->fraction_q32) >> 32);
 }
 
-void clock_advance(struct headway_clock *clock, uint32_t count_us) {
-    int32_t elapsed_us = elapsed(clock, count_us);
+// After a while. Apart, and called: from one servo period to the next it is brief.
+static APART void advance_far(struct headway_clock *clock, int32_t elapsed_us) {
     int64_t fraction = (int64_t)clock->fraction_q32 + skewed_q32(clock, elapsed_us);
     clock->system_us += elapsed_us + (fraction >> 32);
     clock->fraction_q32 = (uint32_t)fraction;
     clock->ticks_us += elapsed_us;
+}
+
+void clock_advance(struct headway_clock *clock, uint32_t count_us) {
+    int32_t elapsed_us = elapsed(clock, count_us);
     clock->count_us = count_us;
+    if ((uint32_t)elapsed_us >= BRIEF_US) {
+        advance_far(clock, elapsed_us);
+        return;
+    }
+    int32_t skewed = elapsed_us * clock->rate_q32; // the same, in 32 bits
+    uint32_t fraction = clock->fraction_q32 + (uint32_t)skewed;
+    int32_t passed_us = elapsed_us + (skewed >> 31) + (fraction < (uint32_t)skewed);
+    clock->fraction_q32 = fraction;
+    clock->system_us += passed_us;
+    clock->ticks_us += (uint32_t)elapsed_us;
 }
 
 int64_t clock_offset_q16(const struct headway_clock *clock, int64_t base_us) {

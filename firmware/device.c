@@ -228,10 +228,14 @@ static void look_ahead(struct device *device, int64_t knot) {
 
 // Whose turn it is. What takes longest is alone.
 static const uint16_t duties[DEVICE_TURNS] = {
-    DUTY_TORQUE | DUTY_CARRY, DUTY_SPEED | DUTY_KP | DUTY_SUPPLY,
-    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,
-    DUTY_TORQUE | DUTY_TELL,  DUTY_SPEED | DUTY_KI | DUTY_KD,
-    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_AHEAD,
+    DUTY_SPEED | DUTY_CARRY,
+    DUTY_TORQUE | DUTY_AHEAD,
+    DUTY_SPEED | DUTY_COMPARE | DUTY_SUPPLY,
+    DUTY_TORQUE | DUTY_LEAD,
+    DUTY_SPEED | DUTY_KP | DUTY_KI,
+    DUTY_TORQUE | DUTY_TELL,
+    DUTY_SPEED | DUTY_HEAT,
+    DUTY_TORQUE | DUTY_AHEAD | DUTY_KD,
 };
 
 static void take_turn(struct device *device) {
@@ -252,6 +256,8 @@ static void steer(struct device *device, struct headway_clock *clock) {
         }
     } else if (device->duties & DUTY_CARRY) {
         sync_carry(sync, settings, clock);
+    } else if (device->duties & DUTY_COMPARE) {
+        sync_compare(sync);
     } else if (device->duties & DUTY_LEAD) {
         sync_lead(sync, settings, clock);
     } else if (device->duties & DUTY_TELL) {

@@ -40,18 +40,19 @@
 // What need not be done in each servo period: where these are short, each has a turn, or a few, of
 // DEVICE_TURNS. Else, and while the clock may step, all of it is done in each.
 enum device_duty {
-    DUTY_CARRY = 1,   // what is known of the clock
-    DUTY_LEAD = 2,    // its rate
-    DUTY_TELL = 4,    // its error, and whether it can be relied on
-    DUTY_HEAT = 8,    // of the motor
-    DUTY_SUPPLY = 16, // and the chopper
-    DUTY_AHEAD = 32,  // a span of the next knot
-    DUTY_KP = 64,     // a gain by its track
+    DUTY_CARRY = 1,      // what is known of the clock ...
+    DUTY_COMPARE = 2048, // ... and how far it is off
+    DUTY_LEAD = 2,       // its rate
+    DUTY_TELL = 4,       // its error, and whether it can be relied on
+    DUTY_HEAT = 8,       // of the motor
+    DUTY_SUPPLY = 16,    // and the chopper
+    DUTY_AHEAD = 32,     // a span of the next knot
+    DUTY_KP = 64,        // a gain by its track
     DUTY_KI = 128,
     DUTY_KD = 256,
     DUTY_SPEED = 512,   // feed-forward along the position track ...
     DUTY_TORQUE = 1024, // ... and the torque track: each in every other period
-    DUTIES = 2047,
+    DUTIES = 4095,
 };
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.

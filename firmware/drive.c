@@ -22,24 +22,26 @@ static inline __attribute__((always_inline)) int32_t value(struct track *track,
     return span_value(track_span(track, at->knot), at->phase);
 }
 
-static struct scale gain(struct track *track, const struct instant *at, struct scale fixed) {
-    if (!track->written)
-        return fixed;
-    int32_t mantissa = value(track, at) >> 8; // points are mantissa Q8
-    fixed.mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
-    return fixed;
+// A gain by its track, which has mantissas in 1/256. Apart, and called: it has turns of its own.
+static APART void find_gain(struct scale *gain, struct track *track, const struct instant *at,
+                            const struct scale *fixed) {
+    int32_t mantissa = fixed->mantissa;
+    gain->shift = fixed->shift;
+    if (track->written)
+        mantissa = value(track, at) >> 8;
+    gain->mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
 }
 
-// Apart, and called: their turns are not to slow the others.
-static APART void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
+static void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
     const struct servo_settings *servo = &device->settings.servo;
+    struct setpoint *setpoint = &device->setpoint;
     struct track *tracks = device->tracks;
     if (duties & DUTY_KP)
-        device->setpoint.kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
+        find_gain(&setpoint->kp, &tracks[TRACK_KP], now, &servo->kp_tq);
     if (duties & DUTY_KI)
-        device->setpoint.ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
+        find_gain(&setpoint->ki, &tracks[TRACK_KI], now, &servo->ki_tq);
     if (duties & DUTY_KD)
-        device->setpoint.kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+        find_gain(&setpoint->kd, &tracks[TRACK_KD], now, &servo->kd_tq);
 }
 
 // What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
@@ -323,7 +325,7 @@ void drive(struct device *device, struct board *board, const struct instant *now
     } else {
         board_set_duty(board, 0);
     }
-    if (device->duties & DUTY_TELL || outputs(device) != device->outputs)
+    if (device->duties & DUTY_SUPPLY || outputs(device) != device->outputs)
         switch_outputs(device, board);
     guard_assert(&device->guard, board); // it may have tripped between these lines
     if (device->faults_unsaved)          // at once, and after all outputs: a reset may come next

@@ -79,7 +79,7 @@ void signals_rule(struct signals *signals, const struct logic *logic) {
     signals->reads = reads(logic);
     signals->digitals = driven(logic->digital, BOARD_DIGITAL);
     signals->pwms = driven(logic->pwm, BOARD_PWM);
-    signals->by_nodes = is_by_nodes(logic);
+    signals->by_nodes = is_by_nodes(logic); // and there is a logic
     signals->steady = false;
     signals->graph.count = logic->nodes;
     signals->graph.held = edge_nodes(logic);
@@ -230,24 +230,29 @@ static APART void follow_pieces(struct signals *signals, int64_t time_us) {
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
 }
 
+// Apart, and called: while no node changes there is nothing to do.
+static APART void settle(struct signals *signals, struct board *board,
+                         const struct headway_clock *clock, uint16_t period_us, bool live) {
+    if (signals->ruled && live)
+        drive_outputs(signals, board, clock, clock->system_us + SIGNALS_AHEAD * period_us);
+    else
+        switch_off(signals, board, clock);
+}
+
 void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
                   uint16_t period_us, bool live) {
-    int64_t time_us = clock->system_us;
     if (signals->begun != 0)
-        follow_pieces(signals, time_us);
-    uint16_t held = signals->graph.held;
+        follow_pieces(signals, clock->system_us);
+    uint32_t held = signals->graph.held;
     graph_step(&signals->graph, signals->values);
     // Whether a node is true changes with what it holds, or, of an edge, in the period after.
-    bool same = held == signals->graph.held, steady = signals->by_nodes && signals->steady && same;
-    signals->steady = same;
-    if (!(signals->ruled && live)) {
-        switch_off(signals, board, clock);
-        signals->steady = false;
-    } else if (!steady) {
-        drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
+    bool same = held == signals->graph.held;
+    if (!(same && signals->steady && live)) {
+        settle(signals, board, clock, period_us, live);
+        signals->steady = same && live && signals->by_nodes;
     }
     if (signals->logic.triggers != 0)
-        take_readings(signals, time_us);
+        take_readings(signals, clock->system_us);
 }
 
 void signals_restart(struct signals *signals) {
