@@ -501,6 +501,8 @@ class Observation:
     may_stand: bool
     supplied: bool
     heat_periods: int
+    warms: bool
+    stuck_periods: int
     def __init__(self) -> None: ...
 
 class Monitor:

@@ -78,6 +78,17 @@ static bool may_stand(const struct device *device) {
                              device->settings.home.method == HOME_STOP);
 }
 
+// What is judged in turns. Apart, and called.
+static APART void look_slowly(const struct board *board, uint32_t duties,
+                              struct observation *seen) {
+    bool all = duties == DUTIES;
+    seen->supplied = (duties & DUTY_SUPPLY) != 0;
+    seen->supply_mV = seen->supplied ? board_supply_mV(board) : 0;
+    seen->warms = (duties & DUTY_WARM) != 0;
+    seen->heat_periods = !(duties & DUTY_HEAT) ? 0 : all ? 1 : DEVICE_TURNS;
+    seen->stuck_periods = !(duties & DUTY_STUCK) ? 0 : all ? 1 : DEVICE_TURNS / 2;
+}
+
 // The last period's motion, judged.
 static void watch(struct device *device, const struct board *board, uint32_t count_us,
                   uint32_t late_us) {
@@ -93,14 +104,9 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
     seen.driven = device->power && device->trusted;
     seen.bounded = device->status.homed && device->state != DEVICE_HOLD; // which rests anyhow
     seen.may_stand = may_stand(device);
-    seen.supplied = false;
-    seen.heat_periods = 0;
-    if (duties & DUTY_SUPPLY) {
-        seen.supplied = true;
-        seen.supply_mV = board_supply_mV(board);
-    }
-    if (duties & DUTY_HEAT)
-        seen.heat_periods = duties == DUTIES ? 1 : DEVICE_TURNS;
+    seen.slowly = (duties & (DUTY_SUPPLY | DUTY_HEAT | DUTY_WARM | DUTY_STUCK)) != 0;
+    if (seen.slowly)
+        look_slowly(board, duties, &seen);
     monitor_step(&device->settings.monitor, &device->monitor, &seen);
     if (device->monitor.breach.reason != REASON_NONE)
         happen_breach(device, device->monitor.breach, count_us);
@@ -226,16 +232,14 @@ static void look_ahead(struct device *device, int64_t knot) {
     track_span(&device->tracks[device->ahead], knot + 1);
 }
 
-// Whose turn it is. What takes longest is alone.
+// Whose turn it is: what takes long is alone, and in the periods that are shorter as it is.
 static const uint16_t duties[DEVICE_TURNS] = {
-    DUTY_SPEED | DUTY_CARRY,
-    DUTY_TORQUE | DUTY_AHEAD,
-    DUTY_SPEED | DUTY_COMPARE | DUTY_SUPPLY,
-    DUTY_TORQUE | DUTY_LEAD,
-    DUTY_SPEED | DUTY_KP | DUTY_KI,
-    DUTY_TORQUE | DUTY_TELL,
-    DUTY_SPEED | DUTY_HEAT,
-    DUTY_TORQUE | DUTY_AHEAD | DUTY_KD,
+    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_CARRY, DUTY_SPEED | DUTY_COMPARE,
+    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_TELL,
+    DUTY_SPEED | DUTY_KP,     DUTY_TORQUE | DUTY_STUCK, DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_KI,     DUTY_TORQUE | DUTY_SUPPLY,
+    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_WARM,  DUTY_SPEED | DUTY_KD,
+    DUTY_TORQUE | DUTY_STUCK,
 };
 
 static void take_turn(struct device *device) {

@@ -33,26 +33,28 @@
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
-#define DEVICE_TURNS 8       // servo periods in which each duty has its turn, if they are short ...
-#define DEVICE_TURNS_US 1000 // ... so that all of them take no longer than this
+#define DEVICE_TURNS 16      // servo periods in which each duty has its turn, if they are short ...
+#define DEVICE_TURNS_US 2000 // ... so that all of them take no longer than this
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
 
 // What need not be done in each servo period: where these are short, each has a turn, or a few, of
 // DEVICE_TURNS. Else, and while the clock may step, all of it is done in each.
 enum device_duty {
-    DUTY_CARRY = 1,      // what is known of the clock ...
-    DUTY_COMPARE = 2048, // ... and how far it is off
-    DUTY_LEAD = 2,       // its rate
-    DUTY_TELL = 4,       // its error, and whether it can be relied on
-    DUTY_HEAT = 8,       // of the motor
-    DUTY_SUPPLY = 16,    // and the chopper
-    DUTY_AHEAD = 32,     // a span of the next knot
-    DUTY_KP = 64,        // a gain by its track
-    DUTY_KI = 128,
-    DUTY_KD = 256,
-    DUTY_SPEED = 512,   // feed-forward along the position track ...
-    DUTY_TORQUE = 1024, // ... and the torque track: each in every other period
-    DUTIES = 4095,
+    DUTY_CARRY = 1 << 0,   // what is known of the clock ...
+    DUTY_COMPARE = 1 << 1, // ... how far it is off ...
+    DUTY_LEAD = 1 << 2,    // ... its rate ...
+    DUTY_TELL = 1 << 3,    // ... its error, and whether it can be relied on
+    DUTY_HEAT = 1 << 4,    // of the motor: what it is allowed ...
+    DUTY_WARM = 1 << 5,    // ... and the winding's rise
+    DUTY_STUCK = 1 << 6,   // whether the encoder has stood still
+    DUTY_SUPPLY = 1 << 7,  // and the chopper
+    DUTY_AHEAD = 1 << 8,   // a span of the next knot
+    DUTY_KP = 1 << 9,      // a gain by its track
+    DUTY_KI = 1 << 10,
+    DUTY_KD = 1 << 11,
+    DUTY_SPEED = 1 << 12,  // feed-forward of the position track's speed ...
+    DUTY_TORQUE = 1 << 13, // ... and of the torque track
+    DUTIES = (1 << 14) - 1,
 };
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.

@@ -26,12 +26,13 @@ static APART void found(struct monitor *monitor, enum fault_reason reason, int32
     worst->limit = limit;
 }
 
-// The encoder's counts: a jump is lost pulses or a broken wire. Returns whether there was any change.
-static inline bool watch_count(const struct monitor_settings *settings, struct monitor *monitor,
+// The encoder's counts: a jump is lost pulses or a broken wire.
+static inline void watch_count(const struct monitor_settings *settings, struct monitor *monitor,
                                int32_t count) {
     int32_t change = fixed_difference(count, monitor->count);
     if (!monitor->primed) {
         monitor->primed = true;
+        monitor->still_count = count;
         change = 0;
     }
     monitor->count = count;
@@ -39,7 +40,6 @@ static inline bool watch_count(const struct monitor_settings *settings, struct m
         found(monitor, REASON_SPIKE, change, settings->spike_counts);
     else
         monitor->speed_sum += change * (1 << SERVO_COUNT_BITS) - monitor_speed_pq(monitor);
-    return change != 0;
 }
 
 // Pushed hard, by whatever asks for it, or led on by its setpoint, an axis moves: an encoder that shows
@@ -47,7 +47,11 @@ static inline bool watch_count(const struct monitor_settings *settings, struct m
 // load is held by any torque for as long as it takes; and a homing stop or a brake is there to stand
 // against.
 static inline void watch_stuck(const struct monitor_settings *settings, struct monitor *monitor,
-                               const struct observation *seen, bool moved) {
+                               const struct observation *seen) {
+    bool moved = seen->count != monitor->still_count;
+    monitor->still_count = seen->count;
+    if (!seen->driven)
+        return;
     int32_t setpoint_pq = seen->setpoint_pq, torque_tq = seen->servo->torque_tq;
     if (moved || !monitor->begun || seen->may_stand) {
         monitor->begun = true;
@@ -62,7 +66,7 @@ static inline void watch_stuck(const struct monitor_settings *settings, struct m
         return;
     }
     bool pushed = magnitude(torque_tq - monitor->still_tq) >= seen->torque_limit_tq >> 1;
-    monitor->still_periods = pushed ? monitor->still_periods + 1 : 0;
+    monitor->still_periods = pushed ? monitor->still_periods + seen->stuck_periods : 0;
     if (monitor->still_periods > settings->stuck_periods)
         found(monitor, REASON_STUCK, (int32_t)monitor->still_periods,
               (int32_t)settings->stuck_periods);
@@ -98,20 +102,24 @@ static APART void warm(const struct monitor_settings *settings, struct monitor *
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
 // winding's temperature for minutes.
 static APART void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                             int32_t torque_tq, uint8_t periods) {
+                             int32_t torque_tq, uint16_t periods) {
     int32_t load_q8 =
         fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
-    monitor->overload += (int64_t)(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8) * periods;
+    monitor->overload +=
+        fixed_mul_u16(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8, periods);
     if (monitor->overload < 0)
         monitor->overload = 0;
-    monitor->heat += (int64_t)loss_q16 * periods;
+    monitor->heat += fixed_mul_u16(loss_q16, periods);
     monitor->heat_periods += periods;
-    if (monitor->heat_periods >= MONITOR_HEAT_PERIODS)
-        warm(settings, monitor);
     if (monitor->overload >> 16 > (int64_t)settings->overload)
         found(monitor, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
-    else if (monitor->rise_q16 > settings->rise_q16)
+}
+
+static APART void watch_winding(const struct monitor_settings *settings, struct monitor *monitor) {
+    if (monitor->heat_periods >= MONITOR_HEAT_PERIODS)
+        warm(settings, monitor);
+    if (monitor->rise_q16 > settings->rise_q16)
         found(monitor, REASON_WINDING, monitor->rise_q16, settings->rise_q16);
 }
 
@@ -190,18 +198,27 @@ static void watch_late(const struct monitor_settings *settings, struct monitor *
         found(monitor, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
+// What need not be judged in each period. Apart, and called.
+static APART void watch_slowly(const struct monitor_settings *settings, struct monitor *monitor,
+                               const struct observation *seen) {
+    if (seen->stuck_periods != 0)
+        watch_stuck(settings, monitor, seen);
+    if (seen->supplied)
+        watch_supply(settings, monitor, seen->supply_mV, seen->power);
+    if (seen->heat_periods != 0)
+        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
+    if (seen->warms)
+        watch_winding(settings, monitor);
+}
+
 void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
                   const struct observation *seen) {
     monitor->breach.reason = REASON_NONE;
     // First: a period that comes late finds the encoder far away, and that is no jump.
     watch_late(settings, monitor, seen);
-    bool moved = watch_count(settings, monitor, seen->count);
-    if (seen->supplied)
-        watch_supply(settings, monitor, seen->supply_mV, seen->power);
-    if (seen->heat_periods != 0)
-        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
-    if (!seen->driven)
-        return;
-    watch_stuck(settings, monitor, seen, moved);
-    watch_motion(settings, monitor, seen);
+    watch_count(settings, monitor, seen->count);
+    if (seen->slowly)
+        watch_slowly(settings, monitor, seen);
+    if (seen->driven)
+        watch_motion(settings, monitor, seen);
 }

@@ -51,6 +51,7 @@ struct monitor {
     int32_t rise_q16;       // of the winding ...
     uint16_t rise_fraction; // ... and what lies below
     bool begun;             // `still_pq` is valid
+    int32_t still_count;    // when that was last judged
     int32_t still_pq;       // setpoint when the count last changed
     int32_t still_tq;       // torque then
     uint32_t still_periods; // pushed on since then without a count
@@ -60,14 +61,17 @@ struct monitor {
 
 // What one servo period found.
 struct observation {
-    bool power;           // the bridge is on: else only the encoder is judged
-    bool driven;          // the servo follows a setpoint
-    bool bounded;         // it is to be kept within its limits
-    bool may_stand;       // standing still is what it is there for
-    bool supplied;        // `supply_mV` is known
-    uint8_t heat_periods; // for which this torque stands, 0: is not judged
-    int32_t count;        // of the encoder
-    int32_t position_pq;  // measured
+    bool power;            // the bridge is on: else only the encoder is judged
+    bool driven;           // the servo follows a setpoint
+    bool bounded;          // it is to be kept within its limits
+    bool may_stand;        // standing still is what it is there for
+    bool slowly;           // some of what need not be judged in each period is to be, that is:
+    bool supplied;         // `supply_mV` is known
+    bool warms;            // the winding is judged
+    uint8_t heat_periods;  // for which the torque stands, 0: its heat is not judged ...
+    uint8_t stuck_periods; // ... and an encoder that stands still, 0: likewise
+    int32_t count;         // of the encoder
+    int32_t position_pq;   // measured
     int32_t setpoint_pq;
     const struct servo *servo; // after its last period
     int32_t torque_limit_tq;

@@ -66,6 +66,7 @@ int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
         servo->forward_mV;
     int32_t duty = fixed_scale_small(voltage_mV, settings->supply_duty, DUTY_BITS);
     servo->clipped = servo->torque_tq != servo->unclipped_tq;
-    servo->saturated = servo->clipped || duty > SERVO_DUTY_MAX || duty < -SERVO_DUTY_MAX;
-    return fixed_clamp(duty, SERVO_DUTY_MAX);
+    int32_t limited = fixed_clamp(duty, SERVO_DUTY_MAX);
+    servo->saturated = servo->clipped || limited != duty;
+    return limited;
 }

@@ -32,6 +32,8 @@ def seen(**values: int | bool) -> _core.Observation:
         "bounded": True,
         "supplied": True,
         "heat_periods": 1,
+        "warms": True,
+        "stuck_periods": 1,
     }
     for name, value in (defaults | values).items():
         setattr(observation, name, value)

@@ -1202,6 +1202,7 @@ class Watcher:
     allowed: dict[str, int]
     load: tuple[int, int]
     count: int | None = None
+    looked: int | None = None  # the count when it was last looked at whether it stands still
     speed_sum: int = 0
     behind: int = 0
     clipped: int = 0
@@ -1225,16 +1226,17 @@ class Watcher:
 
     def step(self, s: dict[str, int]) -> Found:
         """One period; the first of the sternest."""
-        moved = self.count is not None and self.count != s["count"]
         late = s["power"] and s["late_us"] > self.allowed["late_us"]
         found = [(LATE, s["late_us"], self.allowed["late_us"]) if late else None]
         found.append(self.encoder(s))
-        if s["driven"]:
-            found.append(self.stuck(s, moved))
+        if s["stuck_periods"]:
+            found.append(self.stuck(s))
         if s["supplied"]:
             found.append(self.supply(s))
         if s["heat_periods"]:
             found.append(self.heat(s))
+        if s["warms"]:
+            found.append(self.winding())
         if s["driven"]:
             found.append(self.motion(s))
         real = [f for f in found if f]
@@ -1249,7 +1251,11 @@ class Watcher:
         self.speed_sum += 1024 * change - self.speed
         return None
 
-    def stuck(self, s: dict[str, int], moved: bool) -> Found | None:
+    def stuck(self, s: dict[str, int]) -> Found | None:
+        moved = self.looked not in (None, s["count"])
+        self.looked = s["count"]
+        if not s["driven"]:
+            return None
         if moved or self.still is None or s["may_stand"]:
             self.still, self.pushed = (s["setpoint_pq"], s["torque_tq"]), 0
             return None
@@ -1257,7 +1263,9 @@ class Watcher:
         if abs(way) > self.allowed["stuck_pq"]:
             return STUCK, way, self.allowed["stuck_pq"]
         push = s["torque_tq"] - self.still[1]
-        self.pushed = self.pushed + 1 if abs(push) >= s["torque_limit_tq"] // 2 else 0
+        self.pushed = (
+            self.pushed + s["stuck_periods"] if abs(push) >= s["torque_limit_tq"] // 2 else 0
+        )
         if self.pushed > self.allowed["stuck_periods"]:
             return STUCK, self.pushed, self.allowed["stuck_periods"]
         return None
@@ -1283,14 +1291,17 @@ class Watcher:
         self.losses += (load * load - (1 << 16)) * periods
         self.least = min(self.least, self.losses)
         self.block += [load * load] * periods
+        over = (self.losses - self.least) >> 16
+        if over > self.allowed["overload"]:
+            return I2T, over, self.allowed["overload"]
+        return None
+
+    def winding(self) -> Found | None:
         if len(self.block) >= 256:
             mean = sum(self.block) // 256
             change = Fraction((mean - int(self.rise // 1)) * self.allowed["heating_q16"], 1 << 16)
             self.rise += change
             self.block = []
-        over = (self.losses - self.least) >> 16
-        if over > self.allowed["overload"]:
-            return I2T, over, self.allowed["overload"]
         if self.rise // 1 > self.allowed["rise_q16"]:
             return WINDING, int(self.rise // 1), self.allowed["rise_q16"]
         return None

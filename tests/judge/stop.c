@@ -227,7 +227,9 @@ static struct monitor monitor;
     X(bounded)                                                                                     \
     X(may_stand)                                                                                   \
     X(supplied)                                                                                    \
-    X(heat_periods)
+    X(heat_periods)                                                                                \
+    X(warms)                                                                                       \
+    X(stuck_periods)
 
 #define OBSERVED_SERVO(X)                                                                          \
     X(error_pq)                                                                                    \
@@ -286,6 +288,7 @@ static void replay_monitor_step(void) {
     OBSERVATION(SEE)
     OBSERVED_SERVO(SEE_SERVO)
     seen.servo = &seen_servo;
+    seen.slowly = true;
     int64_t times = is_given("times") ? given("times") : 1;
     int32_t step = is_given("count_step") ? (int32_t)given("count_step") : 0;
     struct breach breach = {0};
