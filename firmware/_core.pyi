@@ -499,9 +499,8 @@ class Observation:
     driven: bool
     bounded: bool
     may_stand: bool
-    supplied: bool
+    looks: int
     heat_periods: int
-    warms: bool
     stuck_periods: int
     def __init__(self) -> None: ...
 

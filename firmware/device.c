@@ -78,17 +78,6 @@ static bool may_stand(const struct device *device) {
                              device->settings.home.method == HOME_STOP);
 }
 
-// What is judged in turns. Apart, and called.
-static APART void look_slowly(const struct board *board, uint32_t duties,
-                              struct observation *seen) {
-    bool all = duties == DUTIES;
-    seen->supplied = (duties & DUTY_SUPPLY) != 0;
-    seen->supply_mV = seen->supplied ? board_supply_mV(board) : 0;
-    seen->warms = (duties & DUTY_WARM) != 0;
-    seen->heat_periods = !(duties & DUTY_HEAT) ? 0 : all ? 1 : DEVICE_TURNS;
-    seen->stuck_periods = !(duties & DUTY_STUCK) ? 0 : all ? 1 : DEVICE_TURNS / 2;
-}
-
 // The last period's motion, judged.
 static void watch(struct device *device, const struct board *board, uint32_t count_us,
                   uint32_t late_us) {
@@ -104,9 +93,14 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
     seen.driven = device->power && device->trusted;
     seen.bounded = device->status.homed && device->state != DEVICE_HOLD; // which rests anyhow
     seen.may_stand = may_stand(device);
-    seen.slowly = (duties & (DUTY_SUPPLY | DUTY_HEAT | DUTY_WARM | DUTY_STUCK)) != 0;
-    if (seen.slowly)
-        look_slowly(board, duties, &seen);
+    seen.looks = duties & LOOKS;
+    if (seen.looks != 0) {
+        bool all = duties == DUTIES;
+        seen.heat_periods = all ? 1 : DEVICE_TURNS;
+        seen.stuck_periods = all ? 1 : DEVICE_TURNS / 2;
+        if (duties & DUTY_SUPPLY)
+            seen.supply_mV = board_supply_mV(board);
+    }
     monitor_step(&device->settings.monitor, &device->monitor, &seen);
     if (device->monitor.breach.reason != REASON_NONE)
         happen_breach(device, device->monitor.breach, count_us);
@@ -234,11 +228,11 @@ static void look_ahead(struct device *device, int64_t knot) {
 
 // Whose turn it is: what takes long is alone, and in the periods that are shorter as it is.
 static const uint16_t duties[DEVICE_TURNS] = {
-    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_CARRY, DUTY_SPEED | DUTY_COMPARE,
-    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_TELL,
-    DUTY_SPEED | DUTY_KP,     DUTY_TORQUE | DUTY_STUCK, DUTY_SPEED | DUTY_AHEAD,
-    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_KI,     DUTY_TORQUE | DUTY_SUPPLY,
-    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_WARM,  DUTY_SPEED | DUTY_KD,
+    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_CARRY,   DUTY_SPEED | DUTY_COMPARE,
+    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,    DUTY_TORQUE | DUTY_TELL,
+    DUTY_SPEED | DUTY_KP,     DUTY_TORQUE | DUTY_STUCK,   DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_KI,       DUTY_TORQUE | DUTY_SUPPLY,
+    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_WINDING, DUTY_SPEED | DUTY_KD,
     DUTY_TORQUE | DUTY_STUCK,
 };
 

@@ -751,11 +751,7 @@ static void bind_sync(nb::module_ &m) {
 
 static void bind_stops(nb::module_ &m) {
     nb::class_<Observation>(m, "Observation")
-        .def("__init__",
-             [](Observation *o) {
-                 new (o) Observation{};
-                 o->slowly = true;
-             })
+        .def("__init__", [](Observation *o) { new (o) Observation{}; })
         .def_rw("count", &Observation::count)
         .def_rw("position_pq", &Observation::position_pq)
         .def_rw("setpoint_pq", &Observation::setpoint_pq)
@@ -770,9 +766,8 @@ static void bind_stops(nb::module_ &m) {
         .def_rw("driven", &Observation::driven)
         .def_rw("bounded", &Observation::bounded)
         .def_rw("may_stand", &Observation::may_stand)
-        .def_rw("supplied", &Observation::supplied)
         .def_rw("heat_periods", &Observation::heat_periods)
-        .def_rw("warms", &Observation::warms)
+        .def_rw("looks", &Observation::looks)
         .def_rw("stuck_periods", &Observation::stuck_periods);
     nb::class_<monitor>(m, "Monitor")
         .def("__init__", [](monitor *w) { new (w) monitor{}; })

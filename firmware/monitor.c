@@ -73,8 +73,8 @@ static inline void watch_stuck(const struct monitor_settings *settings, struct m
 }
 
 // The chopper works whether the bridge is on or not: the bridge's capacitor may be full either way.
-static APART void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
-                               int32_t supply_mV, bool power) {
+static void watch_supply(const struct monitor_settings *settings, struct monitor *monitor,
+                         int32_t supply_mV, bool power) {
     int32_t off_mV = settings->chopper_mV - (settings->chopper_mV >> MONITOR_CHOPPER_OFF_SHIFT);
     monitor->chopper = supply_mV > (monitor->chopper ? off_mV : settings->chopper_mV);
     monitor->under = power && supply_mV < settings->supply_min_mV ? monitor->under + 1 : 0;
@@ -101,8 +101,8 @@ static APART void warm(const struct monitor_settings *settings, struct monitor *
 
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
 // winding's temperature for minutes.
-static APART void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                             int32_t torque_tq, uint16_t periods) {
+static void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
+                       int32_t torque_tq, uint16_t periods) {
     int32_t load_q8 =
         fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
@@ -116,7 +116,7 @@ static APART void watch_heat(const struct monitor_settings *settings, struct mon
         found(monitor, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
 }
 
-static APART void watch_winding(const struct monitor_settings *settings, struct monitor *monitor) {
+static void watch_winding(const struct monitor_settings *settings, struct monitor *monitor) {
     if (monitor->heat_periods >= MONITOR_HEAT_PERIODS)
         warm(settings, monitor);
     if (monitor->rise_q16 > settings->rise_q16)
@@ -201,13 +201,13 @@ static void watch_late(const struct monitor_settings *settings, struct monitor *
 // What need not be judged in each period. Apart, and called.
 static APART void watch_slowly(const struct monitor_settings *settings, struct monitor *monitor,
                                const struct observation *seen) {
-    if (seen->stuck_periods != 0)
+    if (seen->looks & LOOK_STUCK)
         watch_stuck(settings, monitor, seen);
-    if (seen->supplied)
+    if (seen->looks & LOOK_SUPPLY)
         watch_supply(settings, monitor, seen->supply_mV, seen->power);
-    if (seen->heat_periods != 0)
+    if (seen->looks & LOOK_HEAT)
         watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
-    if (seen->warms)
+    if (seen->looks & LOOK_WINDING)
         watch_winding(settings, monitor);
 }
 
@@ -217,7 +217,7 @@ void monitor_step(const struct monitor_settings *settings, struct monitor *monit
     // First: a period that comes late finds the encoder far away, and that is no jump.
     watch_late(settings, monitor, seen);
     watch_count(settings, monitor, seen->count);
-    if (seen->slowly)
+    if (seen->looks != 0)
         watch_slowly(settings, monitor, seen);
     if (seen->driven)
         watch_motion(settings, monitor, seen);

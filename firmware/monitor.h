@@ -59,24 +59,31 @@ struct monitor {
     bool chopper;
 };
 
+// What need not be judged in each period.
+enum monitor_look {
+    LOOK_STUCK = 1,   // whether the encoder has stood still
+    LOOK_SUPPLY = 2,  // and the chopper
+    LOOK_HEAT = 4,    // of the motor: what it is allowed ...
+    LOOK_WINDING = 8, // ... and the winding's rise
+    LOOKS = 15,
+};
+
 // What one servo period found.
 struct observation {
     bool power;            // the bridge is on: else only the encoder is judged
     bool driven;           // the servo follows a setpoint
     bool bounded;          // it is to be kept within its limits
     bool may_stand;        // standing still is what it is there for
-    bool slowly;           // some of what need not be judged in each period is to be, that is:
-    bool supplied;         // `supply_mV` is known
-    bool warms;            // the winding is judged
-    uint8_t heat_periods;  // for which the torque stands, 0: its heat is not judged ...
-    uint8_t stuck_periods; // ... and an encoder that stands still, 0: likewise
+    uint8_t looks;         // bits of monitor_look: what is judged now besides
+    uint8_t heat_periods;  // for which its torque stands ...
+    uint8_t stuck_periods; // ... and an encoder that stands still
     int32_t count;         // of the encoder
     int32_t position_pq;   // measured
     int32_t setpoint_pq;
     const struct servo *servo; // after its last period
     int32_t torque_limit_tq;
-    int32_t supply_mV;
-    uint32_t late_us; // after it was due
+    int32_t supply_mV; // if it is judged
+    uint32_t late_us;  // after it was due
 };
 
 // One servo period: `breach` says what it found. The worst one is told: what forbids the ramp before

@@ -203,9 +203,7 @@ static void monitors(void) {
                 .driven = below(8),
                 .bounded = below(2),
                 .may_stand = below(2),
-                .slowly = below(4),
-                .supplied = below(4),
-                .warms = below(4),
+                .looks = (uint8_t)(below(2) ? LOOKS : random32() & LOOKS),
                 .stuck_periods = (uint8_t)(below(2) ? 1 : random32()),
                 .heat_periods = (uint8_t)(below(2) ? 1 : random32()),
             };

@@ -30,9 +30,8 @@ def seen(**values: int | bool) -> _core.Observation:
         "power": True,
         "driven": True,
         "bounded": True,
-        "supplied": True,
+        "looks": 15,
         "heat_periods": 1,
-        "warms": True,
         "stuck_periods": 1,
     }
     for name, value in (defaults | values).items():

@@ -1229,13 +1229,13 @@ class Watcher:
         late = s["power"] and s["late_us"] > self.allowed["late_us"]
         found = [(LATE, s["late_us"], self.allowed["late_us"]) if late else None]
         found.append(self.encoder(s))
-        if s["stuck_periods"]:
+        if s["looks"] & 1:
             found.append(self.stuck(s))
-        if s["supplied"]:
+        if s["looks"] & 2:
             found.append(self.supply(s))
-        if s["heat_periods"]:
+        if s["looks"] & 4:
             found.append(self.heat(s))
-        if s["warms"]:
+        if s["looks"] & 8:
             found.append(self.winding())
         if s["driven"]:
             found.append(self.motion(s))

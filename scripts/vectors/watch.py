@@ -7,6 +7,7 @@ from random import Random
 
 from line import Value, line
 
+STUCK, SUPPLY, HEAT, WINDING, LOOKS = 1, 2, 4, 8, 15  # what need not be judged each period
 SETTINGS: dict[str, Value] = {
     "following_pq": 5000, "following_periods": 3, "speed_pq": 40_000, "bounded": 1,
     "low_pq": -1_000_000, "high_pq": 2_000_000, "deceleration_q16": 65_536_000,
@@ -18,7 +19,7 @@ QUIET: dict[str, Value] = {
     "count": 0, "position_pq": 0, "setpoint_pq": 0, "error_pq": 0, "torque_tq": 0,
     "torque_limit_tq": 10_000, "feedback_tq": 0, "clipped": 0, "supply_mV": 24_000, "late_us": 0,
     "power": 1, "driven": 1, "bounded": 1, "may_stand": 0,
-    "supplied": 1, "heat_periods": 1, "warms": 1, "stuck_periods": 1,
+    "looks": LOOKS, "heat_periods": 1, "stuck_periods": 1,
 }  # fmt: skip
 LOAD_ONE = 4096  # tq: 256 with load_q8 1/16
 
@@ -187,32 +188,32 @@ def _late() -> Iterator[str]:
 
 
 def _turns() -> Iterator[str]:
-    """Periods in which the supply, or the motor's heat, is another's turn."""
+    """Periods in which it is another's turn."""
     for supply in (17_999, 30_001, 28_001):
         yield from _anew()
         for _ in range(4):
-            yield _step(supply_mV=supply, supplied=0, times=3)
-            yield _step(supplied=1)
-        yield _step(supply_mV=24_000, supplied=0, times=5)
-        yield _step(supplied=1)
+            yield _step(supply_mV=supply, looks=LOOKS - SUPPLY, times=3)
+            yield _step(looks=SUPPLY)
+        yield _step(supply_mV=24_000, looks=0, times=5)
+        yield _step(looks=SUPPLY)
     for periods in (2, 8):  # stands still between two looks, and moves between two others
         yield from _anew(stuck_periods=5 * periods)
-        yield _step(torque_tq=6000, stuck_periods=0, times=9)
-        yield _step(torque_tq=0, stuck_periods=periods)
+        yield _step(torque_tq=6000, looks=0, times=9)
+        yield _step(torque_tq=0, looks=STUCK, stuck_periods=periods)
         for _ in range(7):
-            yield _step(torque_tq=6000, stuck_periods=0)
-            yield _step(stuck_periods=periods)
-        yield _step(count=1, stuck_periods=0)
-        yield _step(stuck_periods=periods, times=7)
-        yield _step(setpoint_pq=9001, stuck_periods=0, times=3)
-        yield _step(stuck_periods=periods)
+            yield _step(torque_tq=6000, looks=0)
+            yield _step(looks=STUCK)
+        yield _step(count=1, looks=LOOKS - STUCK)
+        yield _step(looks=STUCK, times=7)
+        yield _step(setpoint_pq=9001, looks=0, times=3)
+        yield _step(looks=STUCK)
     for periods in (2, 8, 255):
         for torque in (LOAD_ONE - 16, LOAD_ONE + 16, -3 * LOAD_ONE, 1 << 24):
             yield from _anew(rise_q16=66_000, overload=400)
-            yield _step(torque_tq=torque, heat_periods=0, times=7)
-            yield _step(heat_periods=periods, warms=0, times=300 // periods)
-            yield _step(heat_periods=0, warms=1)
-            yield _step(heat_periods=periods)
+            yield _step(torque_tq=torque, looks=LOOKS - HEAT, times=7)
+            yield _step(looks=HEAT, heat_periods=periods, times=300 // periods)
+            yield _step(looks=WINDING)
+            yield _step(looks=LOOKS)
             yield _step(times=2)
             yield _step(power=0)
             yield _step(power=1, heat_periods=1, times=3)

@@ -226,9 +226,8 @@ static struct monitor monitor;
     X(driven)                                                                                      \
     X(bounded)                                                                                     \
     X(may_stand)                                                                                   \
-    X(supplied)                                                                                    \
     X(heat_periods)                                                                                \
-    X(warms)                                                                                       \
+    X(looks)                                                                                       \
     X(stuck_periods)
 
 #define OBSERVED_SERVO(X)                                                                          \
@@ -288,7 +287,6 @@ static void replay_monitor_step(void) {
     OBSERVATION(SEE)
     OBSERVED_SERVO(SEE_SERVO)
     seen.servo = &seen_servo;
-    seen.slowly = true;
     int64_t times = is_given("times") ? given("times") : 1;
     int32_t step = is_given("count_step") ? (int32_t)given("count_step") : 0;
     struct breach breach = {0};
