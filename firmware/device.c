@@ -152,7 +152,7 @@ static void follow(struct device *device, const struct board *board, int64_t kno
         happen(device, EVENT_ESTOP);
     if (device->state == DEVICE_BOOT)
         happen(device, EVENT_BOOTED);
-    if (device->duties & DUTY_TELL)
+    if (device->duties & DUTY_RELY)
         follow_sync(device, count_us);
     if (device->state < DEVICE_RUNNING)
         return;
@@ -226,14 +226,24 @@ static void look_ahead(struct device *device, int64_t knot) {
     track_span(&device->tracks[device->ahead], knot + 1);
 }
 
-// Whose turn it is: what takes long is alone, and in the periods that are shorter as it is.
+// Whose turn it is: what takes long is alone. STUCK and SUPPLY come twice, as far apart.
 static const uint16_t duties[DEVICE_TURNS] = {
-    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_CARRY,   DUTY_SPEED | DUTY_COMPARE,
-    DUTY_TORQUE | DUTY_LEAD,  DUTY_SPEED | DUTY_AHEAD,    DUTY_TORQUE | DUTY_TELL,
-    DUTY_SPEED | DUTY_KP,     DUTY_TORQUE | DUTY_STUCK,   DUTY_SPEED | DUTY_AHEAD,
-    DUTY_TORQUE | DUTY_HEAT,  DUTY_SPEED | DUTY_KI,       DUTY_TORQUE | DUTY_SUPPLY,
-    DUTY_SPEED | DUTY_AHEAD,  DUTY_TORQUE | DUTY_WINDING, DUTY_SPEED | DUTY_KD,
-    DUTY_TORQUE | DUTY_STUCK,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_CARRY,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_COMPARE,
+    DUTY_LEAD,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_KP,
+    DUTY_TORQUE | DUTY_TELL,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_STUCK | DUTY_SUPPLY,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_RELY,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_KI,
+    DUTY_HEAT,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_WINDING,
+    DUTY_SPEED | DUTY_KD,
+    DUTY_TORQUE | DUTY_STUCK | DUTY_SUPPLY,
 };
 
 static void take_turn(struct device *device) {
@@ -280,7 +290,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     look_ahead(device, now.knot);
     if (device->signals.used || !signals_idle(&device->signals))
         run_signals(device, board, &now);
-    if (device->duties & DUTY_TELL)
+    if (device->duties & DUTY_RELY)
         admit_advance(device, count_us);
     if ((uint32_t)now.knot != (uint32_t)device->status_knot) {
         device->status_knot = now.knot;

@@ -47,14 +47,15 @@ enum device_duty {
     DUTY_CARRY = 1 << 4,   // what is known of the clock ...
     DUTY_COMPARE = 1 << 5, // ... how far it is off ...
     DUTY_LEAD = 1 << 6,    // ... its rate ...
-    DUTY_TELL = 1 << 7,    // ... its error, and whether it can be relied on
+    DUTY_TELL = 1 << 7,    // ... its error
+    DUTY_RELY = 1 << 14,   // whether it can be relied on, and an offer of a session
     DUTY_AHEAD = 1 << 8,   // a span of the next knot
     DUTY_KP = 1 << 9,      // a gain by its track
     DUTY_KI = 1 << 10,
     DUTY_KD = 1 << 11,
     DUTY_SPEED = 1 << 12,  // feed-forward of the position track's speed ...
     DUTY_TORQUE = 1 << 13, // ... and of the torque track
-    DUTIES = (1 << 14) - 1,
+    DUTIES = (1 << 15) - 1,
 };
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
@@ -74,6 +75,7 @@ struct device {
     uint8_t outputs;        // as the board was told last
     bool steps;             // it has a stepper, which needs no servo
     bool trusted;           // encoder and servo, to ramp down by
+    bool executes;          // in its last period the servo followed its tracks
     bool status_waits;      // the last one has not left yet ...
     uint32_t status_us;     // ... and does at this count
     uint32_t stop_count_us; // count at the fault or emergency stop

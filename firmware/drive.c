@@ -71,6 +71,9 @@ static void from_tracks(struct device *device, const struct instant *now,
     }
     if (duties & (DUTY_KP | DUTY_KI | DUTY_KD))
         find_gains(device, now, duties);
+    if (device->executes) // since it does, these are as they should be
+        return;
+    device->executes = true;
     setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
     setpoint->integrate = servo->integrate_running;
 }
@@ -238,6 +241,7 @@ static APART struct pose lead(struct device *device, struct board *board, enum s
 
 static APART void find_beside(struct device *device, struct board *board, enum source source) {
     struct setpoint *setpoint = &device->setpoint;
+    device->executes = false;
     at(device, lead(device, board, source), setpoint);
     if (source == SOURCE_TASK)
         setpoint->feedback_limit_tq = device->settings.home.torque_tq;
@@ -325,7 +329,7 @@ void drive(struct device *device, struct board *board, const struct instant *now
     } else {
         board_set_duty(board, 0);
     }
-    if (device->duties & DUTY_SUPPLY || outputs(device) != device->outputs)
+    if (device->duties & DUTY_RELY || outputs(device) != device->outputs)
         switch_outputs(device, board);
     guard_assert(&device->guard, board); // it may have tripped between these lines
     if (device->faults_unsaved)          // at once, and after all outputs: a reset may come next

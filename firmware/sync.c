@@ -314,11 +314,12 @@ void sync_carry(struct sync *sync, const struct sync_settings *settings,
     struct bounds_limits limits = limits_of(settings);
     sync->carried = true;
     sync->carried_us = clock->ticks_us;
-    sync->offset_q16 = clock_offset_q16(clock, sync->bounds.base_us);
     if (sync_is_reference(sync))
         sync->heard_us = clock->ticks_us;
     else
         bounds_advance(&sync->bounds, &limits, clock->ticks_us);
+    if (bounds_closed(&sync->bounds)) // else it may be anywhere
+        sync->offset_q16 = clock_offset_q16(clock, sync->bounds.base_us);
 }
 
 void sync_lead(struct sync *sync, const struct sync_settings *settings,
