@@ -90,7 +90,8 @@ static void watch_supply(const struct monitor_settings *settings, struct monitor
 
 // The winding's temperature as a first-order lag of the copper loss.
 static APART void warm(const struct monitor_settings *settings, struct monitor *monitor) {
-    int32_t mean_q16 = (int32_t)(monitor->heat / MONITOR_HEAT_PERIODS);
+    // Of a few periods more, if looks stand for several: no more than there can be.
+    int32_t mean_q16 = fixed_clamp64(monitor->heat / MONITOR_HEAT_PERIODS, 1 << 30);
     int64_t change_q32 = fixed_mul_u16(mean_q16 - monitor->rise_q16, settings->heating_q16) +
                          monitor->rise_fraction; // kept: else a slow winding would stay cold
     monitor->rise_q16 += (int32_t)(change_q32 >> 16);

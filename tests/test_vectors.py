@@ -1298,7 +1298,7 @@ class Watcher:
 
     def winding(self) -> Found | None:
         if len(self.block) >= 256:
-            mean = sum(self.block) // 256
+            mean = min(sum(self.block) // 256, 1 << 30)
             change = Fraction((mean - int(self.rise // 1)) * self.allowed["heating_q16"], 1 << 16)
             self.rise += change
             self.block = []
