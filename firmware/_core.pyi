@@ -500,7 +500,7 @@ class Observation:
     bounded: bool
     may_stand: bool
     looks: int
-    heat_periods: int
+    heat_shift: int
     stuck_periods: int
     def __init__(self) -> None: ...
 

@@ -96,12 +96,14 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
     seen.looks = duties & LOOKS;
     if (seen.looks != 0) {
         bool all = duties == DUTIES;
-        seen.heat_periods = all ? 1 : DEVICE_TURNS;
+        seen.heat_shift = all ? 0 : DEVICE_TURNS_SHIFT;
         seen.stuck_periods = all ? 1 : DEVICE_TURNS / 2;
         if (duties & DUTY_SUPPLY)
             seen.supply_mV = board_supply_mV(board);
     }
     monitor_step(&device->settings.monitor, &device->monitor, &seen);
+    if (duties & DUTY_HEAT)
+        device->servo.effort_tq = 0;
     if (device->monitor.breach.reason != REASON_NONE)
         happen_breach(device, device->monitor.breach, count_us);
 }

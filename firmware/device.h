@@ -33,7 +33,10 @@
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
-#define DEVICE_TURNS 16      // servo periods in which each duty has its turn, if they are short ...
+#define DEVICE_TURNS_SHIFT 4
+#define DEVICE_TURNS                                                                               \
+    (1                                                                                             \
+     << DEVICE_TURNS_SHIFT)  // servo periods in which each duty has its turn, if they are short ...
 #define DEVICE_TURNS_US 2000 // ... so that all of them take no longer than this
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
 

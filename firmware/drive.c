@@ -251,12 +251,15 @@ static APART void find_beside(struct device *device, struct board *board, enum s
     }
 }
 
-static void note_torque(struct status *status, const struct servo *servo) {
+static void note_torque(struct status *status, struct servo *servo) {
     int32_t torque = servo->unclipped_tq < 0 ? -servo->unclipped_tq : servo->unclipped_tq;
     if (torque > status->torque_peak_tq)
         status->torque_peak_tq = torque;
-    if (servo->clipped)
+    if (servo->clipped) {
         status->torque_clipped++;
+        torque = servo->torque_tq < 0 ? -servo->torque_tq : servo->torque_tq;
+    }
+    servo->effort_tq += torque;
 }
 
 // Of a stepper, at the end of the window that begins with the next servo period.

@@ -766,7 +766,7 @@ static void bind_stops(nb::module_ &m) {
         .def_rw("driven", &Observation::driven)
         .def_rw("bounded", &Observation::bounded)
         .def_rw("may_stand", &Observation::may_stand)
-        .def_rw("heat_periods", &Observation::heat_periods)
+        .def_rw("heat_shift", &Observation::heat_shift)
         .def_rw("looks", &Observation::looks)
         .def_rw("stuck_periods", &Observation::stuck_periods);
     nb::class_<monitor>(m, "Monitor")
@@ -780,7 +780,9 @@ static void bind_stops(nb::module_ &m) {
             "step",
             [](monitor &w, const monitor_settings &settings, const Observation &o) {
                 observation seen = o;
-                seen.servo = &o;
+                servo last = o;
+                last.effort_tq = (o.torque_tq < 0 ? -o.torque_tq : o.torque_tq) << o.heat_shift;
+                seen.servo = &last;
                 monitor_step(&settings, &w, &seen);
                 if (w.breach.reason == REASON_NONE)
                     return nb::make_tuple((int)REASON_NONE, 0, 0);

@@ -103,16 +103,16 @@ static APART void warm(const struct monitor_settings *settings, struct monitor *
 // Two bounds on the motor's heat: what is above the continuous torque for seconds (i2t), and the
 // winding's temperature for minutes.
 static void watch_heat(const struct monitor_settings *settings, struct monitor *monitor,
-                       int32_t torque_tq, uint16_t periods) {
-    int32_t load_q8 =
-        fixed_clamp(fixed_scale_within(magnitude(torque_tq), settings->load_q8, 16), 1 << 15);
+                       int32_t effort_tq, int32_t shift) {
+    // The mean magnitude stands for all of these periods.
+    int32_t torque_tq = effort_tq >> shift, periods = 1 << shift;
+    int32_t load_q8 = fixed_clamp(fixed_scale_within(torque_tq, settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
-    monitor->overload +=
-        fixed_mul_u16(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8, periods);
+    monitor->overload += (int64_t)(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8) * periods;
     if (monitor->overload < 0)
         monitor->overload = 0;
-    monitor->heat += fixed_mul_u16(loss_q16, periods);
-    monitor->heat_periods += periods;
+    monitor->heat += fixed_mul_u16(loss_q16, (uint16_t)periods);
+    monitor->heat_periods += (uint16_t)periods;
     if (monitor->overload >> 16 > (int64_t)settings->overload)
         found(monitor, REASON_I2T, (int32_t)(monitor->overload >> 16), (int32_t)settings->overload);
 }
@@ -207,7 +207,7 @@ static APART void watch_slowly(const struct monitor_settings *settings, struct m
     if (seen->looks & LOOK_SUPPLY)
         watch_supply(settings, monitor, seen->supply_mV, seen->power);
     if (seen->looks & LOOK_HEAT)
-        watch_heat(settings, monitor, seen->power ? seen->servo->torque_tq : 0, seen->heat_periods);
+        watch_heat(settings, monitor, seen->power ? seen->servo->effort_tq : 0, seen->heat_shift);
     if (seen->looks & LOOK_WINDING)
         watch_winding(settings, monitor);
 }

@@ -75,8 +75,8 @@ struct observation {
     bool bounded;          // it is to be kept within its limits
     bool may_stand;        // standing still is what it is there for
     uint8_t looks;         // bits of monitor_look: what is judged now besides
-    uint8_t heat_periods;  // for which its torque stands ...
-    uint8_t stuck_periods; // ... and an encoder that stands still
+    uint8_t heat_shift;    // the servo's effort is of 2^this periods, up to 2^5 ...
+    uint8_t stuck_periods; // ... and an encoder that stands still does so for these
     int32_t count;         // of the encoder
     int32_t position_pq;   // measured
     int32_t setpoint_pq;

@@ -42,6 +42,7 @@ struct servo {
     int32_t feedback_tq;    // what the gains make of the error
     int32_t unclipped_tq;   // what is asked for, back-EMF's share included
     int32_t torque_tq;      // after the ceiling
+    int32_t effort_tq;      // its magnitudes, summed since its heat was judged
     bool clipped;           // torque ceiling reached
     bool saturated;         // that, or the voltage
 };

@@ -188,6 +188,7 @@ static void monitors(void) {
             struct servo servo = {
                 .error_pq = clip(extreme64(), (1 << 29) - 1),
                 .torque_tq = clip(extreme64(), SERVO_TORQUE_MAX),
+                .effort_tq = clip(extreme64(), 1 << 30) & INT32_MAX,
                 .feedback_tq = clip(extreme64(), 1 << 29),
                 .clipped = below(2),
             };
@@ -205,7 +206,7 @@ static void monitors(void) {
                 .may_stand = below(2),
                 .looks = (uint8_t)(below(2) ? LOOKS : random32() & LOOKS),
                 .stuck_periods = (uint8_t)(below(2) ? 1 : random32()),
-                .heat_periods = (uint8_t)(below(2) ? 1 : random32()),
+                .heat_shift = (uint8_t)below(6),
             };
             monitor_step(&settings, &monitor, &seen);
             found[monitor.breach.reason]++;

@@ -31,7 +31,7 @@ def seen(**values: int | bool) -> _core.Observation:
         "driven": True,
         "bounded": True,
         "looks": 15,
-        "heat_periods": 1,
+        "heat_shift": 0,
         "stuck_periods": 1,
     }
     for name, value in (defaults | values).items():

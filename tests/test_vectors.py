@@ -1286,7 +1286,7 @@ class Watcher:
 
     def heat(self, s: dict[str, int]) -> Found | None:
         mantissa, shift = self.load
-        torque, periods = abs(s["torque_tq"]) if s["power"] else 0, s["heat_periods"]
+        torque, periods = abs(s["torque_tq"]) if s["power"] else 0, 1 << s["heat_shift"]
         load = min(torque * mantissa >> shift, 1 << 15)  # 1/256
         self.losses += (load * load - (1 << 16)) * periods
         self.least = min(self.least, self.losses)

@@ -19,7 +19,7 @@ QUIET: dict[str, Value] = {
     "count": 0, "position_pq": 0, "setpoint_pq": 0, "error_pq": 0, "torque_tq": 0,
     "torque_limit_tq": 10_000, "feedback_tq": 0, "clipped": 0, "supply_mV": 24_000, "late_us": 0,
     "power": 1, "driven": 1, "bounded": 1, "may_stand": 0,
-    "looks": LOOKS, "heat_periods": 1, "stuck_periods": 1,
+    "looks": LOOKS, "heat_shift": 0, "stuck_periods": 1,
 }  # fmt: skip
 LOAD_ONE = 4096  # tq: 256 with load_q8 1/16
 
@@ -207,16 +207,16 @@ def _turns() -> Iterator[str]:
         yield _step(looks=STUCK, times=7)
         yield _step(setpoint_pq=9001, looks=0, times=3)
         yield _step(looks=STUCK)
-    for periods in (2, 8, 255):
-        for torque in (LOAD_ONE - 16, LOAD_ONE + 16, -3 * LOAD_ONE, 1 << 24):
+    for shift in (1, 4, 5):
+        for torque in (LOAD_ONE - 16, LOAD_ONE + 16, -3 * LOAD_ONE, 1 << 20):
             yield from _anew(rise_q16=66_000, overload=400)
             yield _step(torque_tq=torque, looks=LOOKS - HEAT, times=7)
-            yield _step(looks=HEAT, heat_periods=periods, times=300 // periods)
+            yield _step(looks=HEAT, heat_shift=shift, times=300 >> shift)
             yield _step(looks=WINDING)
             yield _step(looks=LOOKS)
             yield _step(times=2)
             yield _step(power=0)
-            yield _step(power=1, heat_periods=1, times=3)
+            yield _step(power=1, heat_shift=0, times=3)
 
 
 def _heat() -> Iterator[str]:

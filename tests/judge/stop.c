@@ -226,7 +226,7 @@ static struct monitor monitor;
     X(driven)                                                                                      \
     X(bounded)                                                                                     \
     X(may_stand)                                                                                   \
-    X(heat_periods)                                                                                \
+    X(heat_shift)                                                                                  \
     X(looks)                                                                                       \
     X(stuck_periods)
 
@@ -287,6 +287,8 @@ static void replay_monitor_step(void) {
     OBSERVATION(SEE)
     OBSERVED_SERVO(SEE_SERVO)
     seen.servo = &seen_servo;
+    int32_t torque_tq = seen_servo.torque_tq;
+    seen_servo.effort_tq = (torque_tq < 0 ? -torque_tq : torque_tq) * (1 << seen.heat_shift);
     int64_t times = is_given("times") ? given("times") : 1;
     int32_t step = is_given("count_step") ? (int32_t)given("count_step") : 0;
     struct breach breach = {0};
