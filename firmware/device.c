@@ -267,7 +267,7 @@ static void steer(struct device *device, struct headway_clock *clock) {
     } else if (device->duties & DUTY_CARRY) {
         sync_carry(sync, settings, clock);
     } else if (device->duties & DUTY_COMPARE) {
-        sync_compare(sync);
+        sync_compare(sync, settings, clock);
     } else if (device->duties & DUTY_LEAD) {
         sync_lead(sync, settings, clock);
     } else if (device->duties & DUTY_TELL) {

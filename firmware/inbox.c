@@ -3,7 +3,6 @@
 #include "cobs.h" // packets on the byte stream
 #include "group.h"
 #include "happen.h"
-#include "near.h"
 #include "obey.h"
 #include "outbox.h"
 
@@ -233,10 +232,14 @@ static void take(struct device *device, struct board *board, uint8_t *packet, in
         device->status.counters.frames_bad++;
 }
 
-// Of the packets that wait, the first has come. Apart, and called: mostly there is none.
-static APART void take_all(struct device *device, struct board *board, uint8_t *packet,
-                           int32_t size, int32_t port, uint32_t arrived_us) {
-    for (int32_t i = 1;; i++) {
+void inbox_take(struct device *device, struct board *board) {
+    uint8_t packet[COBS_BOUND(FRAME_MAX)]; // decoded in place
+    uint32_t arrived_us;
+    int32_t size, port;
+    for (int32_t i = 0; i < INBOX_PACKETS; i++) {
+        size = board_receive(board, packet, sizeof packet, &port, &arrived_us);
+        if (size <= 0)
+            return;
         uint32_t count_us = board_count_us(board);
         enum admission admission = admit_packet(device, packet, size, port, count_us);
         if (admission == ADMIT_OPEN) {
@@ -244,18 +247,5 @@ static APART void take_all(struct device *device, struct board *board, uint8_t *
             return;
         }
         device->status.counters.frames_bad += admission == ADMIT_BAD;
-        if (i == INBOX_PACKETS)
-            return;
-        size = board_receive(board, packet, COBS_BOUND(FRAME_MAX), &port, &arrived_us);
-        if (size <= 0)
-            return;
     }
-}
-
-void inbox_take(struct device *device, struct board *board) {
-    uint8_t packet[COBS_BOUND(FRAME_MAX)]; // decoded in place
-    uint32_t arrived_us;
-    int32_t port, size = board_receive(board, packet, sizeof packet, &port, &arrived_us);
-    if (size > 0)
-        take_all(device, board, packet, size, port, arrived_us);
 }

@@ -259,16 +259,33 @@ static APART int64_t marked_q16(const struct sync *sync) {
     return bounds_nearest_q16(&sync->bounds, sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16));
 }
 
-void sync_compare(struct sync *sync) {
+void sync_carry(struct sync *sync, const struct sync_settings *settings,
+                const struct headway_clock *clock) {
+    struct bounds_limits limits = limits_of(settings);
+    sync->carried = true;
+    sync->carried_us = clock->ticks_us;
+    if (sync_is_reference(sync))
+        sync->heard_us = clock->ticks_us;
+    else
+        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
+    if (bounds_closed(&sync->bounds)) // else it may be anywhere
+        sync->offset_q16 = clock_offset_q16(clock, sync->bounds.base_us);
+}
+
+void sync_compare(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock) {
     const struct bounds *bounds = &sync->bounds;
-    int64_t offset_q16 = sync->offset_q16;
-    if (sync_is_reference(sync) || !bounds_closed(bounds)) {
-        sync->told_us = sync->carried_us;
+    if (!sync->carried && !sync->waited) {
+        sync->waited = true;
         return;
     }
     if (!sync->carried)
-        return;
+        sync_carry(sync, settings, clock);
+    sync->waited = false;
     sync->told_us = sync->carried_us;
+    if (!bounds_closed(bounds))
+        return;
+    int64_t offset_q16 = sync->offset_q16;
     sync->above_q16 = offset_q16 - bounds_upper_q16(bounds);
     sync->below_q16 = offset_q16 - bounds_lower_q16(bounds);
     bool marked = is_marked(sync, sync->carried_us);
@@ -309,19 +326,6 @@ void sync_tell(struct sync *sync, const struct sync_settings *settings) {
     sync->settled = sync->told_us - sync->wide_us >= SYNC_SETTLE_US;
 }
 
-void sync_carry(struct sync *sync, const struct sync_settings *settings,
-                const struct headway_clock *clock) {
-    struct bounds_limits limits = limits_of(settings);
-    sync->carried = true;
-    sync->carried_us = clock->ticks_us;
-    if (sync_is_reference(sync))
-        sync->heard_us = clock->ticks_us;
-    else
-        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
-    if (bounds_closed(&sync->bounds)) // else it may be anywhere
-        sync->offset_q16 = clock_offset_q16(clock, sync->bounds.base_us);
-}
-
 void sync_lead(struct sync *sync, const struct sync_settings *settings,
                struct headway_clock *clock) {
     if (sync_is_reference(sync))
@@ -337,7 +341,7 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     bool steps = sync->stepped;
     sync->stepped = false;
     sync_carry(sync, settings, clock);
-    sync_compare(sync);
+    sync_compare(sync, settings, clock);
     if (may_step && !sync_is_reference(sync) && bounds_closed(&sync->bounds))
         steps |= step(sync, clock);
     sync_lead(sync, settings, clock);

@@ -60,6 +60,7 @@ struct sync {
     bool doubting;     // by what has come so far
     bool stepped;      // the first sample set the clock
     bool carried;      // nothing has been taken since sync_carry
+    bool waited;       // so the last sync_compare did nothing
     int64_t wide_us;   // ticks when the error was last not known to be within the limit
     int64_t heard_us;  // ticks of the last sample that was taken
     uint32_t excluded; // samples that contradicted the set, ever
@@ -110,10 +111,11 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
 // The same in parts, for a device whose periods are short, which has no time for all of it in one: what
 // is known, the first as sync_steer is called; how far the clock is off; then its rate; then what is
 // told of its error. The clock does not step. Stamps that come after the first part make the second
-// wait for the next time.
+// wait for the next time; if they do so again, it does both.
 void sync_carry(struct sync *sync, const struct sync_settings *settings,
                 const struct headway_clock *clock);
-void sync_compare(struct sync *sync);
+void sync_compare(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock);
 void sync_lead(struct sync *sync, const struct sync_settings *settings,
                struct headway_clock *clock);
 void sync_tell(struct sync *sync, const struct sync_settings *settings);
