@@ -108,7 +108,8 @@ static void watch_heat(const struct monitor_settings *settings, struct monitor *
     int32_t torque_tq = effort_tq >> shift, periods = 1 << shift;
     int32_t load_q8 = fixed_clamp(fixed_scale_within(torque_tq, settings->load_q8, 16), 1 << 15);
     int32_t loss_q16 = load_q8 * load_q8;
-    monitor->overload += (int64_t)(loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8) * periods;
+    int32_t above_q16 = loss_q16 - MONITOR_LOAD_ONE_Q8 * MONITOR_LOAD_ONE_Q8;
+    monitor->overload += fixed_mul_u16(above_q16, (uint16_t)periods);
     if (monitor->overload < 0)
         monitor->overload = 0;
     monitor->heat += fixed_mul_u16(loss_q16, (uint16_t)periods);
