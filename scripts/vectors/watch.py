@@ -280,6 +280,12 @@ def _room() -> Iterator[str]:
             yield _step(count=sign * 63)
             yield from _anew(low_pq=-position, high_pq=position, deceleration_q16=65_536_001)
             yield _step(count=sign * 63)
+    for sign in (1, -1):  # where rounded numbers are enough, and beyond: 8064^2 2^15 / a
+        end = 2_000_000 if sign > 0 else -1_000_000
+        for room, slow in ((16_253_930, 1 << 17), (2_031_742, 1 << 20), (126_984, 1 << 24)):
+            for aside in (-65_536, -1, 0, 1, 65_535, 131_072):
+                yield from _anew(deceleration_q16=slow)
+                yield _step(count=sign * 63, position_pq=end - sign * (room + aside))
     for position in (-1_000_001, -1_000_000, -999_999, 1_999_999, 2_000_000, 2_000_001):
         yield from _anew()
         yield _step(position_pq=position)
