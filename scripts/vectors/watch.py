@@ -282,7 +282,11 @@ def _room() -> Iterator[str]:
             yield _step(count=sign * 63)
     for sign in (1, -1):  # where rounded numbers are enough, and beyond: 8064^2 2^15 / a
         end = 2_000_000 if sign > 0 else -1_000_000
-        for room, slow in ((16_253_930, 1 << 17), (2_031_742, 1 << 20), (126_984, 1 << 24)):
+        yield from _anew(spike_counts=1000, speed_pq=1 << 30, deceleration_q16=1 << 20)
+        yield _step(count=sign * 512, position_pq=end - sign * ((1 << 27) - 1))  # 65536^2 is 2^32
+        for room, slow in (
+            (53_271_855, 40_000), (16_253_930, 1 << 17), (2_031_742, 1 << 20), (126_984, 1 << 24),
+        ):  # fmt: skip
             for aside in (-65_536, -1, 0, 1, 65_535, 131_072):
                 yield from _anew(deceleration_q16=slow)
                 yield _step(count=sign * 63, position_pq=end - sign * (room + aside))
