@@ -502,6 +502,9 @@ class Observation:
     driven: bool
     bounded: bool
     may_stand: bool
+    looks: int
+    heat_shift: int
+    stuck_periods: int
     def __init__(self) -> None: ...
 
 class Monitor:

@@ -20,7 +20,7 @@ void device_configure(struct device *device, const struct device_settings *setti
     device_locate(device); // what is asked for next may rely on it
     device->brake_periods = settings->brake_periods;
     device->steps = settings->step_least_q16 != 0;
-    device->steer_every = (uint16_t)(DEVICE_STEER_US / settings->servo_period_us);
+    device->takes_turns = settings->servo_period_us * DEVICE_TURNS <= DEVICE_TURNS_US;
     device->status.homed = settings->home.method == HOME_NONE;
 }
 
@@ -72,42 +72,49 @@ static void measure(struct device *device, const struct board *board, int64_t ti
     }
 }
 
+// Whether it is there to stand against something.
+static bool may_stand(const struct device *device) {
+    return device->brake || (device->state == DEVICE_ARMED && device->home.task == TASK_HOME &&
+                             device->settings.home.method == HOME_STOP);
+}
+
 // The last period's motion, judged.
 static void watch(struct device *device, const struct board *board, uint32_t count_us,
                   uint32_t late_us) {
-    const struct servo *servo = &device->servo;
-    struct observation seen = {
-        .count = device->encoder_count,
-        .position_pq = device->position_pq,
-        .setpoint_pq = device->setpoint.position_pq,
-        .error_pq = servo->error_pq,
-        .torque_tq = device->power ? servo->torque_tq : 0,
-        .torque_limit_tq = device->settings.servo.torque_limit_tq,
-        .feedback_tq = servo->feedback_tq,
-        .clipped = servo->torque_tq != servo->unclipped_tq,
-        .supply_mV = board_supply_mV(board),
-        .late_us = late_us,
-        .power = device->power,
-        .driven = device->power && device->trusted,
-        .bounded = device->status.homed && device->state != DEVICE_HOLD, // which rests anyhow
-        .may_stand = device->brake ||
-                     (device->home.task == TASK_HOME && device->settings.home.method == HOME_STOP),
-    };
-    const struct monitor_settings *settings = &device->settings.monitor;
-    struct monitor *monitor = &device->monitor;
-    NEAR(settings);
-    NEAR(monitor);
-    struct breach breach = monitor_step(settings, monitor, &seen);
-    if (breach.reason != REASON_NONE)
-        happen_breach(device, breach, count_us);
+    uint32_t duties = device->duties;
+    struct observation seen; // field by field: else all of it is set to 0 first
+    seen.count = device->encoder_count;
+    seen.position_pq = device->position_pq;
+    seen.setpoint_pq = device->setpoint.position_pq;
+    seen.servo = &device->servo;
+    seen.torque_limit_tq = device->settings.servo.torque_limit_tq;
+    seen.late_us = late_us;
+    seen.power = device->power;
+    seen.driven = device->power && device->trusted;
+    seen.bounded = device->status.homed && device->state != DEVICE_HOLD; // which rests anyhow
+    seen.may_stand = may_stand(device);
+    seen.looks = duties & LOOKS;
+    if (seen.looks != 0) {
+        bool all = duties == DUTIES;
+        seen.heat_shift = all ? 0 : DEVICE_TURNS_SHIFT;
+        seen.stuck_periods = all ? 1 : DEVICE_TURNS / 2;
+        if (duties & DUTY_SUPPLY)
+            seen.supply_mV = board_supply_mV(board);
+    }
+    monitor_step(&device->settings.monitor, &device->monitor, &seen);
+    if (duties & DUTY_HEAT)
+        device->servo.effort_tq = 0;
+    if (device->monitor.breach.reason != REASON_NONE)
+        happen_breach(device, device->monitor.breach, count_us);
 }
 
 // The guard has braked, and the monitor may not have seen why.
 static void heed_guard(struct device *device, uint32_t count_us) {
     const struct guard *guard = &device->guard;
+    if (guard->verdict == GUARD_LETS || device->state >= DEVICE_FAULT)
+        return;
     struct breach late = {REASON_LATE, guard->overdue_us, guard->limit_us};
-    if (guard->verdict != GUARD_LETS && device->state < DEVICE_FAULT)
-        happen_breach(device, late, count_us);
+    happen_breach(device, late, count_us);
 }
 
 static bool tracks_rest(const struct device *device, int64_t knot) {
@@ -147,10 +154,15 @@ static void follow(struct device *device, const struct board *board, int64_t kno
         happen(device, EVENT_ESTOP);
     if (device->state == DEVICE_BOOT)
         happen(device, EVENT_BOOTED);
-    if (device->steer_part >= SYNC_PARTS) // nothing is new in the others
+    if (device->duties & DUTY_RELY)
         follow_sync(device, count_us);
-    if (knot - device->accepted_knot > DEVICE_COAST_KNOTS && happen(device, EVENT_OVERDUE))
+    if (device->state < DEVICE_RUNNING)
+        return;
+    if ((int32_t)((uint32_t)knot - (uint32_t)device->accepted_knot) > DEVICE_COAST_KNOTS &&
+        happen(device, EVENT_OVERDUE))
         device->status.counters.coasts++;
+    if (device->state == DEVICE_RUNNING)
+        return;
     if (device->state == DEVICE_COAST && tracks_rest(device, knot))
         happen(device, EVENT_RESTED);
     if (device->state == DEVICE_TAIL && device->ramp.resting)
@@ -161,11 +173,12 @@ static void follow(struct device *device, const struct board *board, int64_t kno
 // step with a bus, and then each status would wait for its turn there as long as any other. After a
 // step of the clock it waits for the next period, which forgets the samples of the time before.
 void device_report(struct device *device, struct board *board) {
-    uint32_t count_us = board_count_us(board);
     if (device->settings.neighbours != 0)
         neighbours_speak(device, board);
-    if (!device->status_waits || device->sync.stepped ||
-        (int32_t)(count_us - device->status_us) < 0)
+    if (!device->status_waits || device->sync.stepped)
+        return;
+    uint32_t count_us = board_count_us(board);
+    if ((int32_t)(count_us - device->status_us) < 0)
         return;
     device->status_waits = false;
     outbox_status(device, board, count_us);
@@ -173,15 +186,11 @@ void device_report(struct device *device, struct board *board) {
         outbox_readings(device, board);
 }
 
-static void run_signals(struct device *device, struct board *board, const struct instant *now) {
-    struct signals *signals = &device->signals;
-    NEAR(signals);
-    int32_t *values = signals->values;
-    uint32_t reads = signals->reads;
-    NEAR(values);
-    values[TRACK_POSITION] = device->setpoint.position_pq;
-    values[TRACK_TORQUE] = device->setpoint.torque_tq;
-    for (int32_t sink = TRACK_KP; sink <= TRACK_KD && reads >> sink != 0; sink++)
+// What few logics read. Apart, and called.
+static APART void read_more(struct device *device, const struct board *board,
+                            const struct instant *now, uint32_t reads) {
+    int32_t *values = device->signals.values;
+    for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
         if (reads >> sink & 1)
             values[sink] =
                 device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
@@ -195,43 +204,78 @@ static void run_signals(struct device *device, struct board *board, const struct
         for (int32_t i = 0; i < BOARD_DIGITAL; i++)
             values[INPUT_DIGITAL + i] = inputs >> i & 1;
         if (reads >> SIGNALS_READ_PAST)
-            signals_recall(signals, device->tracks, device->clock.system_us,
+            signals_recall(&device->signals, device->tracks, device->clock.system_us,
                            device->settings.knot_shift);
     }
+}
+
+static APART void run_signals(struct device *device, struct board *board,
+                              const struct instant *now) {
+    struct signals *signals = &device->signals;
+    NEAR(signals);
+    int32_t *values = signals->values;
+    NEAR(values);
+    values[TRACK_POSITION] = device->setpoint.position_pq;
+    values[TRACK_TORQUE] = device->setpoint.torque_tq;
+    if (signals->reads >> TRACK_KP != 0)
+        read_more(device, board, now, signals->reads);
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
     signals_step(signals, board, &device->clock, device->settings.servo_period_us, live);
 }
 
-// One track's next span a period: so none has to make all of them as a knot begins. Not in one that
-// steers, which is the longest as it is.
+// One track's next span a turn: so none has to make all of them as a knot begins.
 static void look_ahead(struct device *device, int64_t knot) {
-    if (device->steer_part < SYNC_PARTS)
+    if (!(device->duties & DUTY_AHEAD))
         return;
     device->ahead = device->ahead == 0 ? TRACK_COUNT - 1 : device->ahead - 1;
     track_span(&device->tracks[device->ahead], knot + 1);
 }
 
-// The clock, each period or, where those are short, a part of it in each, and anew each DEVICE_STEER_US.
+// Whose turn it is: what takes long is alone. STUCK and SUPPLY come twice, as far apart.
+static const uint16_t duties[DEVICE_TURNS] = {
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_CARRY,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_COMPARE,
+    DUTY_LEAD,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_KP,
+    DUTY_TORQUE | DUTY_TELL,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_STUCK | DUTY_SUPPLY,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_RELY,
+    DUTY_SPEED | DUTY_TORQUE | DUTY_KI,
+    DUTY_HEAT,
+    DUTY_SPEED | DUTY_AHEAD,
+    DUTY_TORQUE | DUTY_WINDING,
+    DUTY_SPEED | DUTY_KD,
+    DUTY_TORQUE | DUTY_STUCK | DUTY_SUPPLY,
+};
+
+static void take_turn(struct device *device) {
+    bool all = !device->takes_turns || device->state == DEVICE_UNSYNCED;
+    device->turn = (device->turn + 1) % DEVICE_TURNS;
+    device->duties = all ? DUTIES : duties[device->turn];
+}
+
 static void steer(struct device *device, struct headway_clock *clock) {
     const struct sync_settings *settings = &device->settings.sync;
     struct sync *sync = &device->sync;
     NEAR(settings);
     NEAR(sync);
-    if (device->steer_every <= SYNC_PARTS || device->state == DEVICE_UNSYNCED) {
-        device->steer_part = SYNC_PARTS; // all of them
+    if (device->duties == DUTIES) {
         if (sync_steer(sync, settings, clock, device->state == DEVICE_UNSYNCED)) {
             history_flush(&device->history);
             neighbours_flush(device);
         }
-        return;
-    }
-    device->steer_part = device->steer_part + 1 < device->steer_every ? device->steer_part + 1 : 0;
-    if (device->steer_part == 0)
+    } else if (device->duties & DUTY_CARRY) {
         sync_carry(sync, settings, clock);
-    else if (device->steer_part == 1)
+    } else if (device->duties & DUTY_COMPARE) {
+        sync_compare(sync, settings, clock);
+    } else if (device->duties & DUTY_LEAD) {
         sync_lead(sync, settings, clock);
-    else if (device->steer_part == 2)
+    } else if (device->duties & DUTY_TELL) {
         sync_tell(sync, settings);
+    }
 }
 
 static void run_period(struct device *device, struct board *board, uint32_t count_us,
@@ -239,6 +283,7 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     struct headway_clock *clock = &device->clock;
     NEAR(clock);
     clock_advance(clock, count_us);
+    take_turn(device);
     steer(device, clock);
     int64_t time_us = device->clock.system_us;
     struct instant now = instant_at(time_us, device->settings.knot_shift);
@@ -250,8 +295,9 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     look_ahead(device, now.knot);
     if (device->signals.used || !signals_idle(&device->signals))
         run_signals(device, board, &now);
-    admit_advance(device, count_us);
-    if (now.knot != device->status_knot) {
+    if (device->duties & DUTY_RELY)
+        admit_advance(device, count_us);
+    if ((uint32_t)now.knot != (uint32_t)device->status_knot) {
         device->status_knot = now.knot;
         device->status_waits = true;
         device->status_us = count_us;

@@ -33,24 +33,52 @@
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
-#define DEVICE_STEER_US 1000 // from one steering of the clock to the next, if periods are shorter
+#define DEVICE_TURNS_SHIFT 4
+#define DEVICE_TURNS                                                                               \
+    (1                                                                                             \
+     << DEVICE_TURNS_SHIFT)  // servo periods in which each duty has its turn, if they are short ...
+#define DEVICE_TURNS_US 2000 // ... so that all of them take no longer than this
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
+
+// What need not be done in each servo period: where these are short, each has a turn, or a few, of
+// DEVICE_TURNS. Else, and while the clock may step, all of it is done in each.
+enum device_duty {
+    DUTY_STUCK = LOOK_STUCK,
+    DUTY_SUPPLY = LOOK_SUPPLY,
+    DUTY_HEAT = LOOK_HEAT,
+    DUTY_WINDING = LOOK_WINDING,
+    DUTY_CARRY = 1 << 4,   // what is known of the clock ...
+    DUTY_COMPARE = 1 << 5, // ... how far it is off ...
+    DUTY_LEAD = 1 << 6,    // ... its rate ...
+    DUTY_TELL = 1 << 7,    // ... its error
+    DUTY_RELY = 1 << 14,   // whether it can be relied on, and an offer of a session
+    DUTY_AHEAD = 1 << 8,   // a span of the next knot
+    DUTY_KP = 1 << 9,      // a gain by its track
+    DUTY_KI = 1 << 10,
+    DUTY_KD = 1 << 11,
+    DUTY_SPEED = 1 << 12,  // feed-forward of the position track's speed ...
+    DUTY_TORQUE = 1 << 13, // ... and of the torque track
+    DUTIES = (1 << 15) - 1,
+};
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
     enum device_state state;
     uint32_t next_servo_us; // local count of the next servo period
     uint16_t sample_wait;   // servo periods until the next sample
-    uint16_t steer_every;   // servo periods from one steering of the clock to the next ...
-    uint16_t steer_part;    // ... and of these the one that runs: the first have parts of it
+    bool takes_turns;       // its periods are short
+    uint8_t turn;           // of this period
+    uint16_t duties;        // of this period: bits of device_duty
     int32_t encoder_count;  // as the board has it
     int32_t offset_count;   // what it lacks to the axis' position
     int32_t position_pq;    // measured
     int32_t hold_pq, hold_tq;
     bool configured; // else it has no settings and no key, and does nothing
     bool power, brake;
+    uint8_t outputs;        // as the board was told last
     bool steps;             // it has a stepper, which needs no servo
     bool trusted;           // encoder and servo, to ramp down by
+    bool executes;          // in its last period the servo followed its tracks
     bool status_waits;      // the last one has not left yet ...
     uint32_t status_us;     // ... and does at this count
     uint32_t stop_count_us; // count at the fault or emergency stop

@@ -22,13 +22,34 @@ static inline __attribute__((always_inline)) int32_t value(struct track *track,
     return span_value(track_span(track, at->knot), at->phase);
 }
 
-static inline __attribute__((always_inline)) struct scale
-gain(struct track *track, const struct instant *at, struct scale fixed) {
-    if (!track->written)
-        return fixed;
-    int32_t mantissa = value(track, at) >> 8; // points are mantissa Q8
-    fixed.mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
-    return fixed;
+// A gain by its track, which has mantissas in 1/256. Apart, and called: it has turns of its own.
+static APART void find_gain(struct scale *gain, struct track *track, const struct instant *at,
+                            const struct scale *fixed) {
+    int32_t mantissa = fixed->mantissa;
+    gain->shift = fixed->shift;
+    if (track->written)
+        mantissa = value(track, at) >> 8;
+    gain->mantissa = (uint16_t)(mantissa < 0 ? 0 : mantissa > 65535 ? 65535 : mantissa);
+}
+
+static void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
+    const struct servo_settings *servo = &device->settings.servo;
+    struct setpoint *setpoint = &device->setpoint;
+    struct track *tracks = device->tracks;
+    if (duties & DUTY_KP)
+        find_gain(&setpoint->kp, &tracks[TRACK_KP], now, &servo->kp_tq);
+    if (duties & DUTY_KI)
+        find_gain(&setpoint->ki, &tracks[TRACK_KI], now, &servo->ki_tq);
+    if (duties & DUTY_KD)
+        find_gain(&setpoint->kd, &tracks[TRACK_KD], now, &servo->kd_tq);
+}
+
+// What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
+static APART int32_t accelerating(const struct device *device, const struct instant *now) {
+    const struct device_settings *settings = &device->settings;
+    struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
+    int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
+    return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
 }
 
 static void from_tracks(struct device *device, const struct instant *now,
@@ -36,25 +57,25 @@ static void from_tracks(struct device *device, const struct instant *now,
     const struct device_settings *settings = &device->settings;
     const struct servo_settings *servo = &settings->servo;
     struct track *tracks = device->tracks;
-    // The output holds for a whole period: the least that feed-forward leads by is half of it.
+    uint32_t duties = device->duties;
+    // The output holds for a while: the least that feed-forward leads by is half of it.
     struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
-    setpoint->velocity_pq = span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
-    setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
-    setpoint->kp = gain(&tracks[TRACK_KP], now, servo->kp_tq);
-    setpoint->ki = gain(&tracks[TRACK_KI], now, servo->ki_tq);
-    setpoint->kd = gain(&tracks[TRACK_KD], now, servo->kd_tq);
+    if (duties & DUTY_SPEED)
+        setpoint->velocity_pq =
+            span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
+    if (duties & DUTY_TORQUE) {
+        setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
+        if (servo->acceleration_tq.mantissa)
+            setpoint->torque_tq += accelerating(device, now);
+    }
+    if (duties & (DUTY_KP | DUTY_KI | DUTY_KD))
+        find_gains(device, now, duties);
+    if (device->executes) // since it does, these are as they should be
+        return;
+    device->executes = true;
     setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
     setpoint->integrate = servo->integrate_running;
-}
-
-// What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
-static __attribute__((noinline)) int32_t accelerating(const struct device *device,
-                                                      const struct instant *now) {
-    const struct device_settings *settings = &device->settings;
-    struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
-    int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
-    return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
 }
 
 // A place beside the tracks, how it moves in a period, and the torque that is needed there.
@@ -80,15 +101,10 @@ static bool ramps(const struct device *device, uint32_t count_us) {
     return device->power && device->trusted && !device->brake && !device->ramp.resting && !forced;
 }
 
-static enum source source_of(const struct device *device, uint32_t count_us) {
-    if (device->guard.verdict != GUARD_LETS)
-        return SOURCE_NONE;
+static APART enum source source_beside(const struct device *device, uint32_t count_us) {
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
-    case DEVICE_RUNNING:
-    case DEVICE_COAST:
-        return SOURCE_TRACKS;
     case DEVICE_TAIL:
         return SOURCE_RAMP;
     case DEVICE_HOLD:
@@ -104,6 +120,13 @@ static enum source source_of(const struct device *device, uint32_t count_us) {
     if (!device->power) // else until the brake has engaged
         return SOURCE_NONE;
     return device->trusted ? SOURCE_HOLD : SOURCE_OPEN;
+}
+
+static enum source source_of(const struct device *device, uint32_t count_us) {
+    if (device->guard.verdict != GUARD_LETS)
+        return SOURCE_NONE;
+    bool executes = device->state == DEVICE_RUNNING || device->state == DEVICE_COAST;
+    return executes ? SOURCE_TRACKS : source_beside(device, count_us);
 }
 
 // When the brake has to let go for a first plan.
@@ -138,7 +161,7 @@ static void switch_off(struct device *device) {
     device->power = false;
 }
 
-static void set_brake(struct device *device, bool on) {
+static APART void set_brake(struct device *device, bool on) {
     if (device->brake != on)
         device->brake_periods = 0;
     else if (device->brake_periods < device->settings.brake_periods)
@@ -208,8 +231,7 @@ static struct pose run_ramp(struct device *device) {
 }
 
 // Where there are no tracks to follow. Apart, and called: so the servo's setpoint stays in registers.
-static __attribute__((noinline)) struct pose lead(struct device *device, struct board *board,
-                                                  enum source source) {
+static APART struct pose lead(struct device *device, struct board *board, enum source source) {
     if (source == SOURCE_RAMP)
         return run_ramp(device);
     if (source == SOURCE_TASK)
@@ -217,14 +239,9 @@ static __attribute__((noinline)) struct pose lead(struct device *device, struct 
     return (struct pose){device->hold_pq, 0, device->hold_tq};
 }
 
-static void find_setpoint(struct device *device, struct board *board, const struct instant *now,
-                          enum source source, struct setpoint *setpoint) {
-    if (source == SOURCE_TRACKS) {
-        from_tracks(device, now, setpoint);
-        if (device->settings.servo.acceleration_tq.mantissa)
-            setpoint->torque_tq += accelerating(device, now);
-        return;
-    }
+static APART void find_beside(struct device *device, struct board *board, enum source source) {
+    struct setpoint *setpoint = &device->setpoint;
+    device->executes = false;
     at(device, lead(device, board, source), setpoint);
     if (source == SOURCE_TASK)
         setpoint->feedback_limit_tq = device->settings.home.torque_tq;
@@ -234,12 +251,15 @@ static void find_setpoint(struct device *device, struct board *board, const stru
     }
 }
 
-static void note_torque(struct status *status, const struct servo *servo) {
+static void note_torque(struct status *status, struct servo *servo) {
     int32_t torque = servo->unclipped_tq < 0 ? -servo->unclipped_tq : servo->unclipped_tq;
     if (torque > status->torque_peak_tq)
         status->torque_peak_tq = torque;
-    if (servo->torque_tq != servo->unclipped_tq)
+    if (servo->clipped) {
         status->torque_clipped++;
+        torque = servo->torque_tq < 0 ? -servo->torque_tq : servo->torque_tq;
+    }
+    servo->effort_tq += torque;
 }
 
 // Of a stepper, at the end of the window that begins with the next servo period.
@@ -252,8 +272,7 @@ static int32_t find_target(struct device *device, struct board *board, enum sour
 
 // A stepper's pulses are told a period ahead: the board gives those of a window by itself, however
 // late the servo is. Apart, and called: a servo's tick is not to make way for it.
-static __attribute__((noinline)) void step(struct device *device, struct board *board,
-                                           enum source source) {
+static APART void step(struct device *device, struct board *board, enum source source) {
     const struct device_settings *settings = &device->settings;
     struct stepper *stepper = &device->stepper;
     board_set_duty(board, 0);
@@ -271,36 +290,51 @@ static __attribute__((noinline)) void step(struct device *device, struct board *
     device->servo.error_pq = fixed_difference(stepper->now_pq, device->position_pq);
 }
 
+static uint8_t outputs(const struct device *device) {
+    return (uint8_t)(device->brake | device->power << 1 | device->monitor.chopper << 2);
+}
+
+// When they change, and else now and then, in case that the board has lost one.
+static APART void switch_outputs(struct device *device, struct board *board) {
+    device->outputs = outputs(device);
+    board_set_brake(board, device->brake);
+    board_set_power(board, device->power);
+    board_set_chopper(board, device->monitor.chopper);
+}
+
+static APART void save_faults(struct device *device, struct board *board) {
+    store_save_faults(board, &device->faults);
+    device->faults_unsaved = false;
+}
+
 void drive(struct device *device, struct board *board, const struct instant *now,
            uint32_t count_us) {
     enum source source = source_of(device, count_us);
-    set_brake(device, brake_wanted(device, source));
+    bool brakes = brake_wanted(device, source);
+    if (brakes || !device->status.released) // else it has let go, and there is nothing to do
+        set_brake(device, brakes);
     if (device->steps) {
         step(device, board, source);
     } else if (device->power && source != SOURCE_NONE) {
-        struct setpoint setpoint;
+        struct setpoint *setpoint = &device->setpoint;
         const struct servo_settings *settings = &device->settings.servo;
         struct servo *servo = &device->servo;
         NEAR(settings);
         NEAR(servo);
-        find_setpoint(device, board, now, source, &setpoint);
-        int32_t duty = servo_step(settings, servo, &setpoint, device->position_pq);
-        // Not as a whole: between its fields a struct has bytes that nobody has set, and a device's
-        // state is the same to the last byte after the same history.
-        device->setpoint.position_pq = setpoint.position_pq;
-        device->setpoint.velocity_pq = setpoint.velocity_pq;
-        device->setpoint.torque_tq = setpoint.torque_tq;
+        NEAR(setpoint);
+        if (source == SOURCE_TRACKS)
+            from_tracks(device, now, setpoint);
+        else
+            find_beside(device, board, source);
+        int32_t duty = servo_step(settings, servo, setpoint, device->position_pq);
         board_set_duty(board, duty);
         note_torque(&device->status, servo);
     } else {
         board_set_duty(board, 0);
     }
-    board_set_brake(board, device->brake);
-    board_set_power(board, device->power);
+    if (device->duties & DUTY_RELY || outputs(device) != device->outputs)
+        switch_outputs(device, board);
     guard_assert(&device->guard, board); // it may have tripped between these lines
-    board_set_chopper(board, device->monitor.chopper);
-    if (device->faults_unsaved) { // at once, and after all outputs: a reset may come next
-        store_save_faults(board, &device->faults);
-        device->faults_unsaved = false;
-    }
+    if (device->faults_unsaved)          // at once, and after all outputs: a reset may come next
+        save_faults(device, board);
 }

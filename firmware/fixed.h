@@ -23,6 +23,14 @@ static inline int32_t fixed_clamp64(int64_t value, int32_t limit) {
     return value < 0 ? -limit : limit;
 }
 
+// a + b within +-limit.
+static inline int32_t fixed_add(int32_t a, int32_t b, int32_t limit) {
+    int32_t sum = (int32_t)((uint32_t)a + (uint32_t)b);
+    if (((sum ^ a) & (sum ^ b)) < 0) // beyond 32 bits
+        return a < 0 ? -limit : limit;
+    return fixed_clamp(sum, limit);
+}
+
 // a - b modulo 2^32: also between positions of an axis that turns for ever.
 static inline int32_t fixed_difference(int32_t a, int32_t b) {
     return (int32_t)((uint32_t)a - (uint32_t)b);
@@ -72,17 +80,41 @@ static inline int32_t fixed_scale(int32_t a, struct scale scale) {
     return whole * (1 << (16 - scale.shift)) + (int32_t)((low & 0xffffu) >> scale.shift);
 }
 
-// The same within +-2^bits, 16 <= bits <= 30, which saves the check of the ends.
-static inline int32_t fixed_scale_within(int32_t a, struct scale scale, int32_t bits) {
+// Within +-2^bits.
+static inline int32_t fixed_within(int32_t value, int32_t bits) {
+    if ((uint32_t)(value >> bits) + 1 <= 1) // no constant is to be made
+        return value;
+    return value < 0 ? -(1 << bits) : 1 << bits;
+}
+
+// a * scale, rounded down, within +-2^bits, 16 <= bits <= 30.
+static inline int32_t fixed_scale_any(int32_t a, struct scale scale, int32_t bits) {
     int32_t high = (a >> 16) * (int32_t)scale.mantissa;
     uint32_t low = ((uint32_t)a & 0xffffu) * scale.mantissa;
     int32_t whole = high + (int32_t)(low >> 16);
     if (scale.shift >= 16)
-        return fixed_clamp(whole >> (scale.shift - 16), 1 << bits);
+        return fixed_within(whole >> (scale.shift - 16), bits);
     int32_t spare = 31 - bits + 16 - scale.shift; // bits that are signs
     if ((int32_t)((uint32_t)whole << spare) >> spare != whole)
         return whole < 0 ? -(1 << bits) : 1 << bits;
     return whole * (1 << (16 - scale.shift)) + (int32_t)((low & 0xffffu) >> scale.shift);
+}
+
+// The same, called where it is not at hand: in fixed.c.
+int32_t fixed_scale_within(int32_t a, struct scale scale, int32_t bits);
+
+// The same of what is mostly within 16 bits: there one product will do.
+static inline int32_t fixed_scale_small(int32_t a, struct scale scale, int32_t bits) {
+    if (a != (int16_t)a)
+        return fixed_scale_within(a, scale, bits);
+    return fixed_within(a * (int32_t)scale.mantissa >> scale.shift, bits);
+}
+
+// The same of a scale that is mostly below 1.
+static inline int32_t fixed_scale_less(int32_t a, struct scale scale, int32_t bits) {
+    if (scale.shift < 16)
+        return fixed_scale_within(a, scale, bits);
+    return fixed_within(fixed_mul_q16(a, scale.mantissa) >> (scale.shift - 16), bits);
 }
 
 #endif

@@ -1,5 +1,6 @@
 #include "graph.h"
 #include "fixed.h" // clamp
+#include "near.h"
 #include "track.h" // its past
 
 static bool reads_two(uint8_t kind) {
@@ -48,35 +49,40 @@ enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int
     return GRAPH_GOOD;
 }
 
-static int32_t evaluate(const struct logic_node *node, const int32_t *values, int32_t at,
-                        bool held) {
+// Of what makes numbers, or looks at edges. Apart, and called: most nodes compare.
+static APART int32_t evaluate(const struct logic_node *node, const int32_t *values, bool held) {
     int32_t a = values[node->a];
     switch (node->kind) {
     case NODE_ADD:
         return fixed_clamp64((int64_t)a + values[node->b], INT32_MAX);
     case NODE_MULTIPLY:
         return fixed_clamp64(((int64_t)a * values[node->b]) >> 16, INT32_MAX);
-    case NODE_COMPARE:
-        return a > node->high || (held && a >= node->low);
-    case NODE_WINDOW:
-        return a >= node->low && a <= node->high;
     case NODE_GATE:
         return values[node->b] != 0 ? a : 0;
-    case NODE_PAST:
-        return values[SOURCE_OF_NODES + at];
     default: // EDGE
         return a != 0 && !held;
     }
 }
 
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
-    uint32_t before = graph->held, held = 0;
-    for (int32_t i = 0; i < graph->count; i++, before >>= 1) {
-        const struct logic_node *node = &graph->nodes[i];
-        int32_t value = evaluate(node, values, i, before & 1);
-        bool holds = node->kind == NODE_EDGE ? values[node->a] != 0 : value != 0;
-        held |= (uint32_t)holds << i;
-        values[SOURCE_OF_NODES + i] = value;
+    const struct logic_node *node = graph->nodes, *end = node + graph->count;
+    int32_t *out = values + SOURCE_OF_NODES;
+    uint32_t held = graph->held;
+    for (uint32_t bit = 1; node != end; node++, bit <<= 1) {
+        uint32_t was = held & bit;
+        int32_t a = values[node->a], value;
+        held -= was;
+        if (node->kind == NODE_COMPARE)
+            value = a > node->high || (was && a >= node->low);
+        else if (node->kind == NODE_WINDOW)
+            value = a >= node->low && a <= node->high;
+        else if (node->kind == NODE_PAST)
+            value = *out; // stands there already
+        else
+            value = evaluate(node, values, was);
+        *out++ = value;
+        if (node->kind == NODE_EDGE ? a != 0 : value != 0)
+            held += bit;
     }
     graph->held = (uint16_t)held;
 }

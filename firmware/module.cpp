@@ -33,6 +33,9 @@ using Mark = std::tuple<uint16_t, uint16_t, int64_t>; // number, width, least
 using Counts = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Times = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
+// An observation and the servo that it is of.
+struct Observation : observation, servo {};
+
 template <typename T>
 static auto array(std::vector<T> &&values, std::initializer_list<size_t> shape) {
     auto *owned = new std::vector<T>(std::move(values));
@@ -755,22 +758,25 @@ static void bind_sync(nb::module_ &m) {
 }
 
 static void bind_stops(nb::module_ &m) {
-    nb::class_<observation>(m, "Observation")
-        .def("__init__", [](observation *o) { new (o) observation{}; })
-        .def_rw("count", &observation::count)
-        .def_rw("position_pq", &observation::position_pq)
-        .def_rw("setpoint_pq", &observation::setpoint_pq)
-        .def_rw("error_pq", &observation::error_pq)
-        .def_rw("torque_tq", &observation::torque_tq)
-        .def_rw("torque_limit_tq", &observation::torque_limit_tq)
-        .def_rw("feedback_tq", &observation::feedback_tq)
-        .def_rw("clipped", &observation::clipped)
-        .def_rw("supply_mV", &observation::supply_mV)
-        .def_rw("late_us", &observation::late_us)
-        .def_rw("power", &observation::power)
-        .def_rw("driven", &observation::driven)
-        .def_rw("bounded", &observation::bounded)
-        .def_rw("may_stand", &observation::may_stand);
+    nb::class_<Observation>(m, "Observation")
+        .def("__init__", [](Observation *o) { new (o) Observation{}; })
+        .def_rw("count", &Observation::count)
+        .def_rw("position_pq", &Observation::position_pq)
+        .def_rw("setpoint_pq", &Observation::setpoint_pq)
+        .def_rw("error_pq", &Observation::error_pq)
+        .def_rw("torque_tq", &Observation::torque_tq)
+        .def_rw("torque_limit_tq", &Observation::torque_limit_tq)
+        .def_rw("feedback_tq", &Observation::feedback_tq)
+        .def_rw("clipped", &Observation::clipped)
+        .def_rw("supply_mV", &Observation::supply_mV)
+        .def_rw("late_us", &Observation::late_us)
+        .def_rw("power", &Observation::power)
+        .def_rw("driven", &Observation::driven)
+        .def_rw("bounded", &Observation::bounded)
+        .def_rw("may_stand", &Observation::may_stand)
+        .def_rw("heat_shift", &Observation::heat_shift)
+        .def_rw("looks", &Observation::looks)
+        .def_rw("stuck_periods", &Observation::stuck_periods);
     nb::class_<monitor>(m, "Monitor")
         .def("__init__", [](monitor *w) { new (w) monitor{}; })
         .def_ro("chopper", &monitor::chopper)
@@ -780,9 +786,15 @@ static void bind_stops(nb::module_ &m) {
         .def("begin", [](monitor &w) { monitor_begin(&w); })
         .def(
             "step",
-            [](monitor &w, const monitor_settings &settings, const observation &seen) {
-                breach b = monitor_step(&settings, &w, &seen);
-                return nb::make_tuple((int)b.reason, b.value, b.limit);
+            [](monitor &w, const monitor_settings &settings, const Observation &o) {
+                observation seen = o;
+                servo last = o;
+                last.effort_tq = (o.torque_tq < 0 ? -o.torque_tq : o.torque_tq) << o.heat_shift;
+                seen.servo = &last;
+                monitor_step(&settings, &w, &seen);
+                if (w.breach.reason == REASON_NONE)
+                    return nb::make_tuple((int)REASON_NONE, 0, 0);
+                return nb::make_tuple((int)w.breach.reason, w.breach.value, w.breach.limit);
             },
             "settings"_a, "seen"_a);
     nb::class_<stepper>(m, "Stepper")

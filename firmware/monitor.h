@@ -5,6 +5,7 @@
 
 #include "fault.h"
 #include "fixed.h"
+#include "servo.h"
 
 #define MONITOR_SPEED_PERIODS 8     // of the low-pass on the measured speed
 #define MONITOR_LOAD_ONE_Q8 256     // torque load 1: the continuous torque
@@ -31,8 +32,15 @@ struct monitor_settings {
     uint32_t late_us; // of a servo period
 };
 
+// A breach; reason REASON_NONE if there is none.
+struct breach {
+    enum fault_reason reason;
+    int32_t value, limit;
+};
+
 struct monitor {
-    bool primed; // `count` is the last one
+    struct breach breach; // of the last period; if there is none, only its reason is set
+    bool primed;          // `count` is the last one
     int32_t count;
     int32_t speed_sum;  // of count differences in pq, a first-order low-pass over 8 periods
     uint16_t following; // periods beyond the limit, in a row
@@ -43,6 +51,7 @@ struct monitor {
     int32_t rise_q16;       // of the winding ...
     uint16_t rise_fraction; // ... and what lies below
     bool begun;             // `still_pq` is valid
+    int32_t still_count;    // when that was last judged
     int32_t still_pq;       // setpoint when the count last changed
     int32_t still_tq;       // torque then
     uint32_t still_periods; // pushed on since then without a count
@@ -50,32 +59,37 @@ struct monitor {
     bool chopper;
 };
 
+// What need not be judged in each period.
+enum monitor_look {
+    LOOK_STUCK = 1,   // whether the encoder has stood still
+    LOOK_SUPPLY = 2,  // and the chopper
+    LOOK_HEAT = 4,    // of the motor: what it is allowed ...
+    LOOK_WINDING = 8, // ... and the winding's rise
+    LOOKS = 15,
+};
+
 // What one servo period found.
 struct observation {
-    int32_t count;       // of the encoder
-    int32_t position_pq; // measured
+    bool power;            // the bridge is on: else only the encoder is judged
+    bool driven;           // the servo follows a setpoint
+    bool bounded;          // it is to be kept within its limits
+    bool may_stand;        // standing still is what it is there for
+    uint8_t looks;         // bits of monitor_look: what is judged now besides
+    uint8_t heat_shift;    // the servo's effort is of 2^this periods, up to 2^5 ...
+    uint8_t stuck_periods; // ... and an encoder that stands still does so for these
+    int32_t count;         // of the encoder
+    int32_t position_pq;   // measured
     int32_t setpoint_pq;
-    int32_t error_pq; // setpoint minus measured
-    int32_t torque_tq, torque_limit_tq;
-    int32_t feedback_tq; // of the torque, what the gains make of the error
-    bool clipped;        // at the ceiling
-    int32_t supply_mV;
-    uint32_t late_us; // after it was due
-    bool power;       // the bridge is on: else only the encoder is judged
-    bool driven;      // the servo follows a setpoint
-    bool bounded;     // it is to be kept within its limits
-    bool may_stand;   // standing still is what it is there for
+    const struct servo *servo; // after its last period
+    int32_t torque_limit_tq;
+    int32_t supply_mV; // if it is judged
+    uint32_t late_us;  // after it was due
 };
 
-// A breach; reason REASON_NONE if there is none.
-struct breach {
-    enum fault_reason reason;
-    int32_t value, limit;
-};
-
-// One servo period. The worst breach is told: what forbids the ramp before what does not.
-struct breach monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
-                           const struct observation *seen);
+// One servo period: `breach` says what it found. The worst one is told: what forbids the ramp before
+// what does not.
+void monitor_step(const struct monitor_settings *settings, struct monitor *monitor,
+                  const struct observation *seen);
 
 // Whether a position is within the last limits.
 bool monitor_inside(const struct monitor_settings *settings, int32_t position_pq);

@@ -8,4 +8,7 @@
 // From here on fields are reached from this pointer; it changes nothing else.
 #define NEAR(pointer) __asm__("" : "+r"(pointer))
 
+// Called, not inlined: a function of its own has all registers, and those of a small core are few.
+#define APART __attribute__((noinline))
+
 #endif

@@ -1,4 +1,5 @@
 #include "servo.h"
+#include "near.h"
 
 #define TERM_BITS 27 // each of a few terms is within it, so that their sum cannot overflow
 #define STEP_BITS 28
@@ -14,8 +15,18 @@ static void integrate(struct servo *servo, const struct setpoint *setpoint, int3
         return;
     int32_t limit =
         limit_tq >= SERVO_TORQUE_MAX ? INT32_MAX : limit_tq * (1 << SERVO_INTEGRAL_BITS);
-    int32_t step = fixed_scale_within(error_pq, setpoint->ki, STEP_BITS);
-    servo->integral = fixed_clamp64((int64_t)servo->integral + step, limit);
+    int32_t step = fixed_scale_small(error_pq, setpoint->ki, STEP_BITS);
+    servo->integral = fixed_add(servo->integral, step, limit);
+}
+
+// What the track's speed asks for. Of no speed it is nothing, as of a servo that begins.
+static APART void lead(const struct servo_settings *settings, struct servo *servo,
+                       int32_t velocity_pq) {
+    servo->velocity_pq = velocity_pq;
+    servo->forward_tq = 0;
+    if (settings->velocity_tq.mantissa != 0)
+        servo->forward_tq = fixed_scale_less(velocity_pq, settings->velocity_tq, TERM_BITS);
+    servo->forward_mV = fixed_scale_less(velocity_pq, settings->emf_mV, VOLTAGE_BITS);
 }
 
 int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
@@ -27,7 +38,8 @@ int32_t servo_position_pq(int32_t encoder_count, bool continuous) {
 int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
                    const struct setpoint *setpoint, int32_t measured_pq) {
     int32_t error_pq = fixed_difference(setpoint->position_pq, measured_pq);
-    error_pq = fixed_clamp(error_pq, (1 << 29) - 1); // so that no sum of differences overflows
+    if (error_pq != (int16_t)error_pq) // so that no sum of differences overflows
+        error_pq = fixed_clamp(error_pq, (1 << 29) - 1);
     int32_t difference_pq = servo->primed ? error_pq - servo->error_pq : 0;
     servo->error_pq = error_pq;
     servo->primed = true;
@@ -37,23 +49,24 @@ int32_t servo_step(const struct servo_settings *settings, struct servo *servo,
     // The voltage is set for the track's speed, so a speed error meets the back-EMF: a torque of its
     // own, which counts against the ceiling.
     servo->difference_sum += difference_pq - servo->difference_sum / SERVO_FILTER_PERIODS;
-    int32_t emf_tq = fixed_scale_within(servo->difference_sum / SERVO_FILTER_PERIODS,
-                                        settings->emf_tq, TERM_BITS);
-    int32_t feedback_tq = fixed_scale_within(error_pq, setpoint->kp, TERM_BITS) +
-                          fixed_scale_within(difference_pq, setpoint->kd, TERM_BITS) +
+    int32_t emf_tq = fixed_scale_small(servo->difference_sum / SERVO_FILTER_PERIODS,
+                                       settings->emf_tq, TERM_BITS);
+    int32_t feedback_tq = fixed_scale_small(error_pq, setpoint->kp, TERM_BITS) +
+                          fixed_scale_small(difference_pq, setpoint->kd, TERM_BITS) +
                           (servo->integral >> SERVO_INTEGRAL_BITS);
     servo->feedback_tq = fixed_clamp(feedback_tq + emf_tq, setpoint->feedback_limit_tq) - emf_tq;
-    servo->unclipped_tq =
-        servo->feedback_tq +
-        fixed_scale_within(setpoint->velocity_pq, settings->velocity_tq, TERM_BITS) +
-        fixed_clamp(setpoint->torque_tq, 1 << TERM_BITS) + emf_tq;
+    if (setpoint->velocity_pq != servo->velocity_pq)
+        lead(settings, servo, setpoint->velocity_pq);
+    servo->unclipped_tq = servo->feedback_tq + servo->forward_tq +
+                          fixed_within(setpoint->torque_tq, TERM_BITS) + emf_tq;
     servo->torque_tq = fixed_clamp(servo->unclipped_tq, settings->torque_limit_tq);
 
     int32_t voltage_mV =
-        fixed_scale_within(servo->torque_tq - emf_tq, settings->resistance_mV, VOLTAGE_BITS) +
-        fixed_scale_within(setpoint->velocity_pq, settings->emf_mV, VOLTAGE_BITS);
-    int32_t duty = fixed_scale_within(voltage_mV, settings->supply_duty, DUTY_BITS);
-    servo->saturated =
-        servo->torque_tq != servo->unclipped_tq || duty > SERVO_DUTY_MAX || duty < -SERVO_DUTY_MAX;
-    return fixed_clamp(duty, SERVO_DUTY_MAX);
+        fixed_scale_less(servo->torque_tq - emf_tq, settings->resistance_mV, VOLTAGE_BITS) +
+        servo->forward_mV;
+    int32_t duty = fixed_scale_small(voltage_mV, settings->supply_duty, DUTY_BITS);
+    servo->clipped = servo->torque_tq != servo->unclipped_tq;
+    int32_t limited = fixed_clamp(duty, SERVO_DUTY_MAX);
+    servo->saturated = servo->clipped || limited != duty;
+    return limited;
 }

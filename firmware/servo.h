@@ -32,14 +32,19 @@ struct servo_settings {
 };
 
 struct servo {
-    bool primed; // `error_pq` is valid
+    bool primed;         // `error_pq` is valid
+    int32_t velocity_pq; // of the track, as ...
+    int32_t forward_tq;  // ... what it asks for ...
+    int32_t forward_mV;  // ... was made of it
     int32_t error_pq;
     int32_t integral;       // tq / 2^6
     int32_t difference_sum; // of error differences, a first-order low-pass over 8 periods
     int32_t feedback_tq;    // what the gains make of the error
     int32_t unclipped_tq;   // what is asked for, back-EMF's share included
     int32_t torque_tq;      // after the ceiling
-    bool saturated;         // torque ceiling or voltage reached
+    int32_t effort_tq;      // its magnitudes, summed since its heat was judged
+    bool clipped;           // torque ceiling reached
+    bool saturated;         // that, or the voltage
 };
 
 // What the tracks ask for at this instant.

@@ -1,5 +1,6 @@
 #include "signals.h"
 #include "fixed.h" // clamp
+#include "near.h"
 #include <string.h>
 
 #define ALL_PWM ((1u << BOARD_PWM) - 1)
@@ -44,6 +45,13 @@ static uint8_t driven(const uint8_t *sources, int32_t count) {
     for (int32_t i = 0; i < count; i++)
         all |= (uint32_t)(sources[i] != SOURCE_UNUSED) << i;
     return (uint8_t)all;
+}
+
+static bool is_by_nodes(const struct logic *logic) {
+    bool all = driven(logic->pwm, BOARD_PWM) == 0;
+    for (int32_t i = 0; i < BOARD_DIGITAL; i++)
+        all = all && logic->digital[i] >= SOURCE_OF_NODES;
+    return all;
 }
 
 static uint32_t reads(const struct logic *logic) {
@@ -92,6 +100,8 @@ void signals_rule(struct signals *signals, const struct logic *logic, int32_t kn
     signals->reads = reads(logic);
     signals->digitals = driven(logic->digital, BOARD_DIGITAL);
     signals->pwms = driven(logic->pwm, BOARD_PWM);
+    signals->by_nodes = is_by_nodes(logic); // and there is a logic
+    signals->steady = false;
     signals->graph.count = logic->nodes;
     signals->graph.held = edge_nodes(logic);
     memcpy(signals->graph.nodes, logic->node, sizeof logic->node);
@@ -187,8 +197,8 @@ static void set_pwm(struct signals *signals, struct board *board, int32_t output
 }
 
 // What nothing drives is told once that it is off.
-static void drive_outputs(struct signals *signals, struct board *board,
-                          const struct headway_clock *clock, int64_t until_us) {
+static APART void drive_outputs(struct signals *signals, struct board *board,
+                                const struct headway_clock *clock, int64_t until_us) {
     const struct logic *logic = &signals->logic;
     uint32_t left = signals->digitals | signals->on | signals->ahead;
     for (int32_t i = 0; left != 0; i++, left >>= 1) {
@@ -224,8 +234,15 @@ static bool is_due(struct signals *signals, int32_t i) {
     return true;
 }
 
-static void switch_off(struct signals *signals, struct board *board,
-                       const struct headway_clock *clock) {
+static APART void take_readings(struct signals *signals, int64_t time_us) {
+    for (int32_t i = 0; i < signals->logic.triggers; i++)
+        if (is_due(signals, i))
+            readings_push(&signals->readings, time_us,
+                          signals->values[signals->logic.trigger[i].source], (uint8_t)i);
+}
+
+static APART void switch_off(struct signals *signals, struct board *board,
+                             const struct headway_clock *clock) {
     for (int32_t i = 0; i < BOARD_DIGITAL; i++)
         set_digital(signals, board, i, false, clock->count_us);
     for (int32_t i = 0; i < BOARD_PWM; i++)
@@ -255,22 +272,36 @@ void signals_recall(struct signals *signals, const struct track *tracks, int64_t
     }
 }
 
-void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
-                  uint16_t period_us, bool live) {
-    int64_t time_us = clock->system_us;
+static APART void follow_pieces(struct signals *signals, int64_t time_us) {
     uint32_t left = signals->begun;
     for (int32_t i = 0; left != 0; i++, left >>= 1)
         if (left & 1)
             signals->values[SOURCE_OF_PIECES + i] = pieces_now(&signals->tracks[i], time_us);
-    graph_step(&signals->graph, signals->values);
+}
+
+// Apart, and called: while no node changes there is nothing to do.
+static APART void settle(struct signals *signals, struct board *board,
+                         const struct headway_clock *clock, uint16_t period_us, bool live) {
     if (signals->ruled && live)
-        drive_outputs(signals, board, clock, time_us + SIGNALS_AHEAD * period_us);
+        drive_outputs(signals, board, clock, clock->system_us + SIGNALS_AHEAD * period_us);
     else
         switch_off(signals, board, clock);
-    for (int32_t i = 0; i < signals->logic.triggers; i++)
-        if (is_due(signals, i))
-            readings_push(&signals->readings, time_us,
-                          signals->values[signals->logic.trigger[i].source], (uint8_t)i);
+}
+
+void signals_step(struct signals *signals, struct board *board, const struct headway_clock *clock,
+                  uint16_t period_us, bool live) {
+    if (signals->begun != 0)
+        follow_pieces(signals, clock->system_us);
+    uint32_t held = signals->graph.held;
+    graph_step(&signals->graph, signals->values);
+    // Whether a node is true changes with what it holds, or, of an edge, in the period after.
+    bool same = held == signals->graph.held;
+    if (!(same && signals->steady && live)) {
+        settle(signals, board, clock, period_us, live);
+        signals->steady = same && live && signals->by_nodes;
+    }
+    if (signals->logic.triggers != 0)
+        take_readings(signals, clock->system_us);
 }
 
 void signals_restart(struct signals *signals) {

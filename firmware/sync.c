@@ -1,5 +1,6 @@
 #include "sync.h"
 #include "fixed.h" // clamp
+#include "near.h"
 #include <string.h>
 
 #define STAMP_US 1                   // stamps are whole microseconds, rounded down
@@ -138,6 +139,7 @@ bool sync_take(struct sync *sync, const struct sync_settings *settings, struct h
         return false;
     bool same = !settings->among_boards || source->lineage.id == sync->lineage;
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    sync->carried = false;
     uint16_t *doubt = &sync->doubt[source->number];
     sync->heard |= (uint8_t)(1 << source->number);
     bool good = same && prove(sync, &limits, clock, source, stamps, arrived_us);
@@ -186,6 +188,7 @@ bool sync_take_mark(struct sync *sync, const struct sync_settings *settings,
     if (!sync->begun)
         return false;
     bounds_advance(&sync->bounds, &limits, clock_ticks(clock, now_count_us));
+    sync->carried = false;
     int64_t least_us = mark->least_us - ticks_us - sync->bounds.base_us;
     bool near = is_near(least_us); // else the products would overflow
     struct bounds_line lower = {near ? (least_us - STAMP_US) * (1 << 16) : 0, ticks_us};
@@ -251,21 +254,42 @@ static void set_rate(struct sync *sync, const struct sync_settings *settings,
 
 // Where the clock is steered to: the middle of what is proven here. Or, where there is a mark, the
 // middle of what all boards on the bus have proven together: then they agree with each other.
-static int64_t target_q16(const struct sync *sync, int64_t ticks_us) {
-    const struct bounds *bounds = &sync->bounds;
-    int64_t age_us = ticks_us - sync->mark_us;
-    if (!is_marked(sync, ticks_us))
-        return bounds_middle_q16(bounds);
-    return bounds_nearest_q16(bounds, sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16));
+static APART int64_t marked_q16(const struct sync *sync) {
+    int64_t age_us = sync->carried_us - sync->mark_us;
+    return bounds_nearest_q16(&sync->bounds, sync->mark_q16 + ((sync->skew_q32 * age_us) >> 16));
 }
 
-// Where the clock is.
-static void compare(struct sync *sync, const struct headway_clock *clock) {
+void sync_carry(struct sync *sync, const struct sync_settings *settings,
+                const struct headway_clock *clock) {
+    struct bounds_limits limits = limits_of(settings);
+    sync->carried = true;
+    sync->carried_us = clock->ticks_us;
+    if (sync_is_reference(sync))
+        sync->heard_us = clock->ticks_us;
+    else
+        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
+    if (bounds_closed(&sync->bounds)) // else it may be anywhere
+        sync->offset_q16 = clock_offset_q16(clock, sync->bounds.base_us);
+}
+
+void sync_compare(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock) {
     const struct bounds *bounds = &sync->bounds;
-    int64_t offset_q16 = clock_offset_q16(clock, bounds->base_us);
-    sync->behind_q16 = target_q16(sync, clock->ticks_us) - offset_q16;
+    if (!sync->carried && !sync->waited) {
+        sync->waited = true;
+        return;
+    }
+    if (!sync->carried)
+        sync_carry(sync, settings, clock);
+    sync->waited = false;
+    sync->told_us = sync->carried_us;
+    if (!bounds_closed(bounds))
+        return;
+    int64_t offset_q16 = sync->offset_q16;
     sync->above_q16 = offset_q16 - bounds_upper_q16(bounds);
     sync->below_q16 = offset_q16 - bounds_lower_q16(bounds);
+    bool marked = is_marked(sync, sync->carried_us);
+    sync->behind_q16 = (marked ? marked_q16(sync) : bounds_middle_q16(bounds)) - offset_q16;
 }
 
 // To the middle of what is proven, if it is far away; returns whether it was.
@@ -302,18 +326,6 @@ void sync_tell(struct sync *sync, const struct sync_settings *settings) {
     sync->settled = sync->told_us - sync->wide_us >= SYNC_SETTLE_US;
 }
 
-void sync_carry(struct sync *sync, const struct sync_settings *settings,
-                const struct headway_clock *clock) {
-    struct bounds_limits limits = limits_of(settings);
-    sync->told_us = clock->ticks_us;
-    if (sync_is_reference(sync))
-        sync->heard_us = clock->ticks_us;
-    else
-        bounds_advance(&sync->bounds, &limits, clock->ticks_us);
-    if (bounds_closed(&sync->bounds))
-        compare(sync, clock);
-}
-
 void sync_lead(struct sync *sync, const struct sync_settings *settings,
                struct headway_clock *clock) {
     if (sync_is_reference(sync))
@@ -329,6 +341,7 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
     bool steps = sync->stepped;
     sync->stepped = false;
     sync_carry(sync, settings, clock);
+    sync_compare(sync, settings, clock);
     if (may_step && !sync_is_reference(sync) && bounds_closed(&sync->bounds))
         steps |= step(sync, clock);
     sync_lead(sync, settings, clock);

@@ -59,6 +59,8 @@ struct sync {
     bool doubtful;     // all that is heard contradicts what is known: nothing is, until a restart
     bool doubting;     // by what has come so far
     bool stepped;      // the first sample set the clock
+    bool carried;      // nothing has been taken since sync_carry
+    bool waited;       // so the last sync_compare did nothing
     int64_t wide_us;   // ticks when the error was last not known to be within the limit
     int64_t heard_us;  // ticks of the last sample that was taken
     uint32_t excluded; // samples that contradicted the set, ever
@@ -74,7 +76,9 @@ struct sync {
     int64_t steered_us; // ticks
     int32_t skew_q32;   // of the own oscillator, as steering has found it
     int64_t told_us;    // ticks at which the error was what it says
-    int64_t behind_q16, above_q16, below_q16; // found by a part of steering for those after it
+    int64_t carried_us; // ticks at which the last steering began ...
+    int64_t offset_q16; // ... where the clock was then ...
+    int64_t behind_q16, above_q16, below_q16; // ... and what the next part found
     struct bounds bounds;
     struct average average;
 };
@@ -105,11 +109,13 @@ bool sync_steer(struct sync *sync, const struct sync_settings *settings,
                 struct headway_clock *clock, bool may_step);
 
 // The same in parts, for a device whose periods are short, which has no time for all of it in one: what
-// is known and how far the clock is off, the first as sync_steer is called; then the clock's rate; then
-// what is told of its error. The clock does not step.
-#define SYNC_PARTS 3
+// is known, the first as sync_steer is called; how far the clock is off; then its rate; then what is
+// told of its error. The clock does not step. Stamps that come after the first part make the second
+// wait for the next time; if they do so again, it does both.
 void sync_carry(struct sync *sync, const struct sync_settings *settings,
                 const struct headway_clock *clock);
+void sync_compare(struct sync *sync, const struct sync_settings *settings,
+                  const struct headway_clock *clock);
 void sync_lead(struct sync *sync, const struct sync_settings *settings,
                struct headway_clock *clock);
 void sync_tell(struct sync *sync, const struct sync_settings *settings);

@@ -185,23 +185,31 @@ static void monitors(void) {
         int32_t count = extreme32(), step = (int32_t)between(-(1 << 18), 1 << 18);
         step = below(2) ? step : 0;
         for (int32_t i = 0; i < 600; i++) {
+            struct servo servo = {
+                .error_pq = clip(extreme64(), (1 << 29) - 1),
+                .torque_tq = clip(extreme64(), SERVO_TORQUE_MAX),
+                .effort_tq = clip(extreme64(), 1 << 30) & INT32_MAX,
+                .feedback_tq = clip(extreme64(), 1 << 29),
+                .clipped = below(2),
+            };
             struct observation seen = {
                 .count = count = below(200) ? fixed_sum(count, step) : extreme32(),
                 .position_pq = below(2) ? clip(extreme64(), 1 << 30) : clip(count, 1 << 30),
                 .setpoint_pq = extreme32(),
-                .error_pq = clip(extreme64(), (1 << 29) - 1),
-                .torque_tq = clip(extreme64(), SERVO_TORQUE_MAX),
+                .servo = &servo,
                 .torque_limit_tq = below(2) ? SERVO_TORQUE_MAX : 1 + (int32_t)below(1 << 25),
-                .feedback_tq = clip(extreme64(), 1 << 29),
-                .clipped = below(2),
                 .supply_mV = extreme32(),
                 .late_us = random32(),
                 .power = below(8),
                 .driven = below(8),
                 .bounded = below(2),
                 .may_stand = below(2),
+                .looks = (uint8_t)(below(2) ? LOOKS : random32() & LOOKS),
+                .stuck_periods = (uint8_t)(below(2) ? 1 : random32()),
+                .heat_shift = (uint8_t)below(6),
             };
-            found[monitor_step(&settings, &monitor, &seen).reason]++;
+            monitor_step(&settings, &monitor, &seen);
+            found[monitor.breach.reason]++;
             PROMISE(monitor.overload >= 0 && monitor.rise_q16 >= 0);
         }
     }

@@ -116,10 +116,10 @@ def test_silence_is_told_from_an_unsure_clock(sync_lost_us: int, period_us: int)
     assert rig.reason == ("SYNC_LOST" if sync_lost_us == 100_000 else "CLOCK")
 
 
-def test_in_short_periods_silence_is_found_a_millisecond_later_at_most() -> None:
+def test_in_short_periods_silence_is_found_two_milliseconds_later_at_most() -> None:
     settings = device_settings()
     settings.servo_period_us, settings.sync_lost_us = 100, 100_000
-    for after_us in range(0, 1000, 150):
+    for after_us in range(0, 1600, 150):
         rig = Rig(settings=settings, poll_us=50).sync().arm()
         while rig.now % SYNC_US != 0:
             rig.poll()
@@ -128,7 +128,7 @@ def test_in_short_periods_silence_is_found_a_millisecond_later_at_most() -> None
         heard_us = rig.now - after_us + rig.delay_us
         rig.run_until(S.TAIL, 200_000)
         assert rig.reason == "SYNC_LOST"
-        assert 0 < rig.now - heard_us - 100_000 <= 1000 + 2 * 100
+        assert 0 < rig.now - heard_us - 100_000 <= 1600 + 2 * 100
 
 
 def test_in_short_periods_the_clock_is_steered() -> None:

@@ -30,6 +30,9 @@ def seen(**values: int | bool) -> _core.Observation:
         "power": True,
         "driven": True,
         "bounded": True,
+        "looks": 15,
+        "heat_shift": 0,
+        "stuck_periods": 1,
     }
     for name, value in (defaults | values).items():
         setattr(observation, name, value)

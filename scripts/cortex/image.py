@@ -13,7 +13,8 @@ LAYOUT = "-fno-short-enums"
 # As one unit: what is called once a period is no call. Of what it inlines there, the compiler
 # does not see that all is set.
 WHOLE = (
-    "-flto=1", "-flto-partition=none", "-fno-reorder-blocks", "-Wno-maybe-uninitialized"
+    "-flto=1", "-flto-partition=none", "-fno-reorder-blocks", "-Wno-maybe-uninitialized",
+    "-ffixed-r8", "-ffixed-r9", "-ffixed-r10", "-ffixed-r11",
 )  # fmt: skip
 SOFT_FLOAT = ("__aeabi_f", "__aeabi_d", "__aeabi_cf", "__aeabi_cd", "__aeabi_i2", "__aeabi_ui2")
 SOFT_FLOAT += ("__aeabi_l2", "__aeabi_ul2")

@@ -381,6 +381,31 @@ def looking_ahead(b: Bench) -> None:
         b.until("HOLD", 300)
 
 
+def turns(b: Bench) -> None:
+    """Short periods, whose duties take turns; polls that come late change nothing of that."""
+    b.scene("turns: all tracks, stamps all the time, a bad supply", IDLE)
+    made = settings()
+    made.servo_period_us = 125
+    made.servo.acceleration_tq = _core.Scale(5, 3)
+    for sink in (KP, KI, KD):
+        made.set_limits(sink, _core.GateLimits(0, 1 << 25, 1 << 24, 1 << 24))
+    b.adjust(made)
+    b.orders("ARM", "DONE", "ARMED")
+    b.go(20)
+    points = way(5, 6)
+    n = len(points)
+    b.plans("accepted", b.knot + AHEAD, {
+        POSITION: points, TORQUE: [0] * n,
+        KP: [1 << 20] * 6 + [1 << 19] * (n - 6), KI: [1 << 18] * n, KD: [1 << 19] * n,
+    })  # fmt: skip
+    for _ in range(40):
+        b.sync()
+        b.run(1)
+    b.go(40)
+    b.set(supply_mV=12_000)
+    b.until("FAULT", 100)
+
+
 def steps(b: Bench) -> None:
     """Of a stepper: 50 kHz, told where it is, then homed."""
     made = settings()
@@ -742,6 +767,7 @@ SCENES = (
     moving,
     gains,
     looking_ahead,
+    turns,
     steps,
     gaps,
     homing,

@@ -7,6 +7,7 @@ from random import Random
 
 from line import Value, line
 
+STUCK, SUPPLY, HEAT, WINDING, LOOKS = 1, 2, 4, 8, 15  # what need not be judged each period
 SETTINGS: dict[str, Value] = {
     "following_pq": 5000, "following_periods": 3, "speed_pq": 40_000, "bounded": 1,
     "low_pq": -1_000_000, "high_pq": 2_000_000, "deceleration_q16": 65_536_000,
@@ -18,6 +19,7 @@ QUIET: dict[str, Value] = {
     "count": 0, "position_pq": 0, "setpoint_pq": 0, "error_pq": 0, "torque_tq": 0,
     "torque_limit_tq": 10_000, "feedback_tq": 0, "clipped": 0, "supply_mV": 24_000, "late_us": 0,
     "power": 1, "driven": 1, "bounded": 1, "may_stand": 0,
+    "looks": LOOKS, "heat_shift": 0, "stuck_periods": 1,
 }  # fmt: skip
 LOAD_ONE = 4096  # tq: 256 with load_q8 1/16
 
@@ -185,6 +187,38 @@ def _late() -> Iterator[str]:
             yield _step(late_us=0)
 
 
+def _turns() -> Iterator[str]:
+    """Periods in which it is another's turn."""
+    for supply in (17_999, 30_001, 28_001):
+        yield from _anew()
+        for _ in range(4):
+            yield _step(supply_mV=supply, looks=LOOKS - SUPPLY, times=3)
+            yield _step(looks=SUPPLY)
+        yield _step(supply_mV=24_000, looks=0, times=5)
+        yield _step(looks=SUPPLY)
+    for periods in (2, 8):  # stands still between two looks, and moves between two others
+        yield from _anew(stuck_periods=5 * periods)
+        yield _step(torque_tq=6000, looks=0, times=9)
+        yield _step(torque_tq=0, looks=STUCK, stuck_periods=periods)
+        for _ in range(7):
+            yield _step(torque_tq=6000, looks=0)
+            yield _step(looks=STUCK)
+        yield _step(count=1, looks=LOOKS - STUCK)
+        yield _step(looks=STUCK, times=7)
+        yield _step(setpoint_pq=9001, looks=0, times=3)
+        yield _step(looks=STUCK)
+    for shift in (1, 4, 5):
+        for torque in (LOAD_ONE - 16, LOAD_ONE + 16, -3 * LOAD_ONE, 1 << 20):
+            yield from _anew(rise_q16=66_000, overload=400)
+            yield _step(torque_tq=torque, looks=LOOKS - HEAT, times=7)
+            yield _step(looks=HEAT, heat_shift=shift, times=300 >> shift)
+            yield _step(looks=WINDING)
+            yield _step(looks=LOOKS)
+            yield _step(times=2)
+            yield _step(power=0)
+            yield _step(power=1, heat_shift=0, times=3)
+
+
 def _heat() -> Iterator[str]:
     loads = (-16, 0, 16, LOAD_ONE, -3 * LOAD_ONE, 2 * LOAD_ONE)
     for torque in (LOAD_ONE + load for load in loads):
@@ -246,6 +280,16 @@ def _room() -> Iterator[str]:
             yield _step(count=sign * 63)
             yield from _anew(low_pq=-position, high_pq=position, deceleration_q16=65_536_001)
             yield _step(count=sign * 63)
+    for sign in (1, -1):  # where rounded numbers are enough, and beyond: 8064^2 2^15 / a
+        end = 2_000_000 if sign > 0 else -1_000_000
+        yield from _anew(spike_counts=1000, speed_pq=1 << 30, deceleration_q16=1 << 20)
+        yield _step(count=sign * 512, position_pq=end - sign * ((1 << 27) - 1))  # 65536^2 is 2^32
+        for room, slow in (
+            (53_271_855, 40_000), (16_253_930, 1 << 17), (2_031_742, 1 << 20), (126_984, 1 << 24),
+        ):  # fmt: skip
+            for aside in (-65_536, -1, 0, 1, 65_535, 131_072):
+                yield from _anew(deceleration_q16=slow)
+                yield _step(count=sign * 63, position_pq=end - sign * (room + aside))
     for position in (-1_000_001, -1_000_000, -999_999, 1_999_999, 2_000_000, 2_000_001):
         yield from _anew()
         yield _step(position_pq=position)
@@ -361,7 +405,18 @@ def monitors(rng: Random) -> Iterator[str]:
     """Each limit, a number at a time; then together."""
     yield line("monitor-usual", **SETTINGS)
     yield line("monitor-quiet", **QUIET)
-    for family in (_counts, _stuck, _supply, _late, _heat, _room, _inside, _motion, _at_once):
+    for family in (
+        _counts,
+        _stuck,
+        _supply,
+        _late,
+        _heat,
+        _turns,
+        _room,
+        _inside,
+        _motion,
+        _at_once,
+    ):
         yield f"# {family.__name__.strip('_')}"
         yield from family()
     yield "# together"

@@ -219,20 +219,26 @@ static struct monitor monitor;
     X(count)                                                                                       \
     X(position_pq)                                                                                 \
     X(setpoint_pq)                                                                                 \
-    X(error_pq)                                                                                    \
-    X(torque_tq)                                                                                   \
     X(torque_limit_tq)                                                                             \
-    X(feedback_tq)                                                                                 \
-    X(clipped)                                                                                     \
     X(supply_mV)                                                                                   \
     X(late_us)                                                                                     \
     X(power)                                                                                       \
     X(driven)                                                                                      \
     X(bounded)                                                                                     \
-    X(may_stand)
+    X(may_stand)                                                                                   \
+    X(heat_shift)                                                                                  \
+    X(looks)                                                                                       \
+    X(stuck_periods)
+
+#define OBSERVED_SERVO(X)                                                                          \
+    X(error_pq)                                                                                    \
+    X(torque_tq)                                                                                   \
+    X(feedback_tq)                                                                                 \
+    X(clipped)
 
 static struct monitor_settings usual_settings;
 static struct observation usual, seen;
+static struct servo usual_servo, seen_servo;
 
 #define SET(name)                                                                                  \
     if (is_given(#name))                                                                           \
@@ -240,6 +246,9 @@ static struct observation usual, seen;
 #define SEE(name)                                                                                  \
     if (is_given(#name))                                                                           \
         seen.name = given(#name);
+#define SEE_SERVO(name)                                                                            \
+    if (is_given(#name))                                                                           \
+        seen_servo.name = given(#name);
 
 static void set_monitor(void) {
     MONITOR_SETTINGS(SET)
@@ -258,7 +267,9 @@ static void replay_monitor_usual(void) {
 
 static void replay_monitor_quiet(void) {
     OBSERVATION(SEE)
+    OBSERVED_SERVO(SEE_SERVO)
     usual = seen;
+    usual_servo = seen_servo;
 }
 
 // A monitor begins anew.
@@ -266,6 +277,7 @@ static void replay_monitor(void) {
     monitor = (struct monitor){0};
     monitor_settings = usual_settings;
     seen = usual;
+    seen_servo = usual_servo;
     set_monitor();
 }
 
@@ -273,12 +285,17 @@ static void replay_monitor(void) {
 // with a breach.
 static void replay_monitor_step(void) {
     OBSERVATION(SEE)
+    OBSERVED_SERVO(SEE_SERVO)
+    seen.servo = &seen_servo;
+    int32_t torque_tq = seen_servo.torque_tq;
+    seen_servo.effort_tq = (torque_tq < 0 ? -torque_tq : torque_tq) * (1 << seen.heat_shift);
     int64_t times = is_given("times") ? given("times") : 1;
     int32_t step = is_given("count_step") ? (int32_t)given("count_step") : 0;
     struct breach breach = {0};
     int64_t periods = 0;
     while (periods < times && breach.reason == REASON_NONE) {
-        breach = monitor_step(&monitor_settings, &monitor, &seen);
+        monitor_step(&monitor_settings, &monitor, &seen);
+        breach = monitor.breach;
         seen.count = fixed_sum(seen.count, step);
         periods++;
     }
