@@ -121,7 +121,7 @@ ARM2_CASES: list[tuple[tuple[str, ...], dict[str, str]]] = [
     ),
     (("sim.compute_us=5000", "loop.margin_us=16384"), {"compute: within a knot": "warn"}),
     (("sim.compute_us=17000", "loop.margin_us=32768"), {"compute: within a knot": "FAIL"}),
-    (("mpc.horizon_us=532480",), {"plan: points": "FAIL"}),
+    (("mpc.horizon_us=573440",), {"plan: points": "FAIL"}),
     (("sync.to_device_least_us=2001",), {"clocks: least delay to_device": "FAIL"}),
     (("sync.to_host_least_us=2001",), {"clocks: least delay to_host": "FAIL"}),
     (

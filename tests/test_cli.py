@@ -217,7 +217,7 @@ def test_out_cannot_be_made(capsys: pytest.CaptureFixture[str]) -> None:
         (["{arm2}", "--set", "task.axes=[]"], "task: a task of the kind sines needs axes"),
         (["{arm2}", "--set", "sim.plant.mass_scale.link9=2"], "no body link9"),
         (["{arm2}", "--set", "machine.axes.0.position_max_rad=500"], "position_max_rad is 500"),
-        (["{arm2}", "--set", "mpc.horizon_us=1916928"], "points; a frame holds 128"),
+        (["{arm2}", "--set", "mpc.horizon_us=1949696"], "points; a frame holds 128"),
     ],
 )
 def test_mistakes(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
