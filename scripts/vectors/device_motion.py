@@ -404,6 +404,18 @@ def turns(b: Bench) -> None:
     b.go(40)
     b.set(supply_mV=12_000)
     b.until("FAULT", 100)
+    for gain in (KP, KI, KD):
+        b.scene(f"turns: a track of gain {gain}, which is looked at once in all turns", IDLE)
+        made.servo.integrate_running = True
+        b.adjust(made)
+        b.orders("ARM", "DONE", "ARMED")
+        changing = [1 << 17 + min(max(3, i), 25) % 4 for i in range(30)]  # seen in a turn
+        b.plans("accepted", b.knot + AHEAD, {**at_rest(30), gain: changing})
+        b.set(speed_q16=0)
+        b.go(40)
+        for away in (10, 40, 15, 60):
+            b.set(position=321 - away)
+            b.run(9)
 
 
 def steps(b: Bench) -> None:
