@@ -32,7 +32,6 @@ static inline void watch_count(const struct monitor_settings *settings, struct m
     int32_t change = fixed_difference(count, monitor->count);
     if (!monitor->primed) {
         monitor->primed = true;
-        monitor->still_count = count;
         change = 0;
     }
     monitor->count = count;

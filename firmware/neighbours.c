@@ -96,7 +96,7 @@ static uint32_t lineage(const struct device *device) {
 static void feed(struct device *device, struct board *board) {
     struct signals *signals = &device->signals;
     const struct logic *logic = &signals->logic;
-    if (!device->sync.settled || device->sync.stepped)
+    if (!device->sync.settled)
         return;
     if (device->clock.count_us != signals->feeds.count_us)
         signals->values[INPUT_LAG] =

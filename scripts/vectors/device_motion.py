@@ -404,6 +404,100 @@ def turns(b: Bench) -> None:
     b.go(40)
     b.set(supply_mV=12_000)
     b.until("FAULT", 100)
+    for gain in (KP, KI, KD):
+        b.scene(f"turns: a track of gain {gain}, which is looked at once in all turns", IDLE)
+        made.servo.integrate_running = True
+        b.adjust(made)
+        b.orders("ARM", "DONE", "ARMED")
+        changing = [1 << 17 + min(max(3, i), 25) % 4 for i in range(30)]  # seen in a turn
+        b.plans("accepted", b.knot + AHEAD, {**at_rest(30), gain: changing})
+        b.set(speed_q16=0)
+        b.go(40)
+        for away in (10, 40, 15, 60):
+            b.set(position=321 - away)
+            b.run(9)
+
+
+def marked(b: Bench) -> None:
+    b.scene("turns: stamps with a mark all the time", IDLE)
+    made = settings()
+    made.servo_period_us = 125
+    b.adjust(made)
+    b.set(frame_number=64, frame_age_us=150)
+    b.run(2)
+    b.hear()
+    number, width_us, least_us = b.status.mark
+    assert width_us != _core.MARK_OPEN
+    for _ in range(52):
+        b.sync(mark=(number, width_us // 2, least_us))
+        b.run(1)
+    b.go(40)
+    b.hear()
+
+
+def shaken(b: Bench) -> None:
+    b.scene("turns: to and fro, at the torque limit and below it: heat has no sign", IDLE)
+    made = settings()
+    made.servo_period_us = 125
+    made.servo.torque_limit_tq = 1 << 19
+    made.monitor.load_q8, made.monitor.torque_periods = _core.Scale(1, 9), 1000
+    b.adjust(made)
+    b.orders("ARM", "DONE", "ARMED")
+    b.set(speed_q16=0)
+    for i in range(40):
+        b.set(position=321 + (-150, 0, 150, 0)[i % 4])
+        b.run(1)
+    b.expect("FAULT", "I2T")
+
+
+def switched(b: Bench) -> None:
+    b.scene("turns: chopper and power on and off, at once each", IDLE)
+    made = settings()
+    made.servo_period_us = 125
+    b.adjust(made)
+    for supply_mV in (28_000, 24_000):
+        for kind, state in (("ARM", "ARMED"), ("DISARM", "IDLE")):
+            b.set(supply_mV=supply_mV)
+            b.go(20)
+            b.orders(kind, "DONE", state)
+            b.set(supply_mV=52_000 - supply_mV)
+            b.go(20)
+
+
+def succeeding(b: Bench) -> None:
+    """A plan begins at once where something else ends: nothing of that one's stays."""
+    b.scene("ARM, and a plan before the next period", IDLE)
+    b.run(1)
+    b.give(b.seal(_core.FRAME_COMMAND, b.command("ARM")))
+    b.give(b.plan(b.knot + AHEAD, at_rest(20)))
+    b.run(2, step_us=10)
+    b.set(speed_q16=0)
+    b.go(24)
+    b.set(position=321 - 20)
+    b.run(9)
+    b.expect("COAST")
+    b.scene("JOG of 0, and a plan as it ends", ARMED)
+    b.orders("JOG", "DONE", "ARMED", 0)
+    b.go(8)
+    b.give(b.seal(_core.FRAME_COMMAND, b.command("JOG", 0)))
+    b.give(b.plan(b.knot + AHEAD, at_rest(20)))
+    b.set(speed_q16=0)
+    b.go(24)
+    b.set(position=321 - 150)
+    b.run(2)
+    b.expect("COAST")
+    b.scene("HOLD, RESUME, and a plan before the next period: the integral rests", ARMED)
+    b.plans("accepted", b.knot + AHEAD, at_rest(9))
+    b.until("HOLD", 300)
+    b.set(speed_q16=0)
+    b.run(2)
+    b.give(b.seal(_core.FRAME_COMMAND, b.command("RESUME")))
+    b.give(b.plan(b.knot + AHEAD, at_rest(20)))
+    b.run(2, step_us=10)
+    b.go(24)
+    b.set(position=321 - 20)
+    b.run(9)
+    b.expect("COAST")
 
 
 def steps(b: Bench) -> None:
@@ -768,6 +862,10 @@ SCENES = (
     gains,
     looking_ahead,
     turns,
+    marked,
+    shaken,
+    switched,
+    succeeding,
     steps,
     gaps,
     homing,

@@ -139,6 +139,10 @@ def _stuck() -> Iterator[str]:
     yield _step(times=4)
     yield _step()
     yield _step()
+    yield from _anew()  # led on too far, and pushed: that period does not count as pushed
+    yield _step(setpoint_pq=9001, torque_tq=6000)
+    yield _step(setpoint_pq=0, times=5)
+    yield _step()
     for top in ((1 << 31) - 1, -(1 << 31)):
         yield line("monitor")
         yield _step(setpoint_pq=top)
@@ -217,6 +221,9 @@ def _turns() -> Iterator[str]:
             yield _step(times=2)
             yield _step(power=0)
             yield _step(power=1, heat_shift=0, times=3)
+    yield from _anew(rise_q16=100, heating_q16=65_535, overload=1 << 31)
+    yield _step(torque_tq=LOAD_ONE, looks=LOOKS - WINDING, torque_limit_tq=1 << 30, times=400)
+    yield _step(looks=WINDING)
 
 
 def _heat() -> Iterator[str]:
@@ -251,6 +258,10 @@ def _heat() -> Iterator[str]:
             yield _step(torque_tq=LOAD_ONE, times=times)
         yield _step(torque_tq=0, times=600)
         yield _step(torque_tq=2 * LOAD_ONE, times=600)
+    for shift, times in ((0, 256), (5, 8), (5, 9)):  # the greatest mean there is
+        yield from _anew(rise_q16=1 << 27, overload=(1 << 32) - 1, load_q8=[65_535, 0])
+        yield _step(torque_tq=1 << 25, looks=HEAT, heat_shift=shift, times=times)
+        yield _step(looks=WINDING)
     for heating in (1, 100, 255):  # what one step adds is below one part in 65536
         yield from _anew(rise_q16=300, heating_q16=heating, overload=(1 << 31) - 1)
         for _ in range(3):
@@ -313,6 +324,35 @@ def _room() -> Iterator[str]:
             yield _step(position_pq=2_000_001 if sign > 0 else -1_000_001)
 
 
+def _rounded_room() -> Iterator[str]:
+    """Where a room and a deceleration that are rounded down must not be taken for enough."""
+    for sign in (1, -1):
+        end = 2_000_000 if sign > 0 else -1_000_000
+        for jump, room, slow in (
+            (8, 1 << 30, 1),  # nothing is left of so small a deceleration
+            (8, 0, 1 << 23),  # nor of this room
+            (64, 1 << 16, 1 << 20),  # 8192^2 2^9 is 2^35
+            (512, 1 << 22, 1 << 24),  # both beyond 16 bits, by the same bit
+        ):
+            yield from _anew(spike_counts=1000, speed_pq=1 << 30, deceleration_q16=slow)
+            yield _step(count=sign * jump, position_pq=end - sign * room)
+        for aside in (-1, 0, 1):  # 7056^2 / 2^9 is 97240.5, and 2431 * 40 is 97240
+            yield from _anew(deceleration_q16=2431 << 8)
+            yield _step(count=sign * 63, bounded=0)
+            yield _step(bounded=1, position_pq=end - sign * ((40 << 16) + aside))
+        yield from _anew(deceleration_q16=1)
+        yield _step(count=sign, bounded=0, times=40)
+        yield _step(bounded=1, position_pq=end - sign * 100)  # v is 1: 2^15 is above 100
+        high = (1 << 31) - 1 if sign > 0 else -(1 << 31)
+        for jump, room in (  # v is 3 and 6 million; what is above 2^22 is judged as 2^22
+            (23_437, 137_000_000), (23_437, 138_000_000), (23_437, 186_000_000),
+            (46_875, 1 << 20), (46_875, 1 << 27), (46_875, 1 << 28), (46_875, (1 << 28) + 1),
+        ):  # fmt: skip
+            yield from _anew(spike_counts=1 << 18, speed_pq=1 << 30, low_pq=-(1 << 31),
+                             high_pq=(1 << 31) - 1, deceleration_q16=(1 << 31) - 1)  # fmt: skip
+            yield _step(count=sign * jump, position_pq=high - sign * room)
+
+
 def _inside() -> Iterator[str]:
     yield line("monitor")
     for position in (-1_000_001, -1_000_000, 0, 2_000_000, 2_000_001, -(1 << 31), (1 << 31) - 1):
@@ -341,6 +381,10 @@ def _motion() -> Iterator[str]:
         for error in (6000, -6000):
             yield from _anew(following_periods=0)
             yield _step(error_pq=error, feedback_tq=error, count=step)
+    yield from _anew(following_periods=0)  # a period too far behind does not count as clipped
+    yield _step(error_pq=6000, clipped=1)
+    yield _step(error_pq=0, times=4)
+    yield _step()
     yield from _anew()
     yield _step(clipped=1, times=4)
     yield _step(clipped=1, times=1)
@@ -413,6 +457,7 @@ def monitors(rng: Random) -> Iterator[str]:
         _heat,
         _turns,
         _room,
+        _rounded_room,
         _inside,
         _motion,
         _at_once,
