@@ -73,7 +73,7 @@ int32_t feeds_step(struct feeds *feeds, const struct logic *logic, const int32_t
         const struct taken *taken = &feeds->taken[i];
         if (!(feeds->fed >> i & 1))
             continue;
-        if (!taken->begun)
+        if (!taken->begun || taken->known_us > time_us + FEED_FRESH_US) // or the clock stepped back
             return FEED_UNKNOWN_MS;
         if (time_us - taken->known_us > most_us)
             most_us = time_us - taken->known_us;
@@ -121,8 +121,9 @@ bool feeds_take(struct feeds *feeds, int32_t track, struct pieces *pieces,
     *anew = false;
     if (age_us > FEED_FRESH_US || age_us < -FEED_FRESH_US)
         return false;
-    if (taken->known_us > now_us + FEED_FRESH_US)
-        taken->begun = false; // the clock stepped back
+    // The clock stepped back; or, after days, numbers are to begin anew.
+    if (taken->known_us > now_us + FEED_FRESH_US || pieces->next > PIECES_MANY)
+        taken->begun = false;
     bool begins = !taken->begun;
     if (!begins && frame->time_us <= taken->known_us)
         return true; // it has been heard, or overtaken
@@ -137,8 +138,11 @@ bool feeds_take(struct feeds *feeds, int32_t track, struct pieces *pieces,
     for (; i < frame->count; i++) {
         bool alone = (begins || gap) && !frame->steps; // no line leads to it
         enum piece_result result = alone ? PIECE_TAKEN : append(pieces, frame, i, now_us);
-        if (result == PIECE_FULL)
-            return true; // it is in the next frame
+        if (result == PIECE_FULL) { // it is in the next frame
+            if (taken->last_us > taken->known_us)
+                taken->known_us = taken->last_us;
+            return true;
+        }
         *refused += result != PIECE_TAKEN && result != PIECE_LATE;
         *late += result == PIECE_LATE && !begins;
         taken->last_us = frame->points[i].time_us;

@@ -70,6 +70,8 @@ enum piece_result pieces_take(struct pieces *track, uint32_t number,
     int64_t took_us = wanted->end_us - start_us;
     if (took_us < 0 || took_us > PIECE_LONGEST_US || (before && start_us < before->start_us))
         return PIECE_ORDER;
+    if (track->next > PIECES_MANY)
+        return PIECE_FULL;
     if (track->next >= PIECES && piece(track, track->next - PIECES + 1)->start_us > now_us)
         return PIECE_FULL;
     struct piece taken = {.start_us = start_us, .end_us = wanted->end_us, .to = wanted->to};

@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #define PIECES 32                  // of a track that are remembered; a power of two
+#define PIECES_MANY (1u << 31)     // of which none is taken any more: numbers do not wrap
 #define PIECE_LONGEST_US (1 << 30) // 18 minutes
 #define PIECE_TIME_MAX (1LL << 60) // no time beyond: sums and differences of a few cannot overflow
 
@@ -35,7 +36,7 @@ enum piece_result {
     PIECE_GAP,   // others are missing before it, or there is none to go on from
     PIECE_LATE,  // taken, but its start was past: the track goes on from where it should be
     PIECE_ORDER, // before the one before it, ends before it starts, or takes too long
-    PIECE_FULL,  // would overwrite one that has not begun
+    PIECE_FULL,  // would overwrite one that has not begun, or there have been too many
 };
 
 enum piece_result pieces_take(struct pieces *track, uint32_t number,

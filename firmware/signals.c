@@ -96,6 +96,7 @@ void signals_rule(struct signals *signals, const struct logic *logic, int32_t kn
     if (signals->result != GRAPH_GOOD)
         return;
     signals->ruled = true;
+    signals->stepped = false;
     signals->logic = *logic;
     signals->reads = reads(logic);
     signals->digitals = driven(logic->digital, BOARD_DIGITAL);
@@ -296,6 +297,7 @@ void signals_step(struct signals *signals, struct board *board, const struct hea
     graph_step(&signals->graph, signals->values);
     // Whether a node is true changes with what it holds, or, of an edge, in the period after.
     bool same = held == signals->graph.held;
+    signals->stepped = true;
     if (!(same && signals->steady && live)) {
         settle(signals, board, clock, period_us, live);
         signals->steady = same && live && signals->by_nodes;

@@ -282,7 +282,6 @@ void sync_compare(struct sync *sync, const struct sync_settings *settings,
     if (!sync->carried)
         sync_carry(sync, settings, clock);
     sync->waited = false;
-    sync->told_us = sync->carried_us;
     if (!bounds_closed(bounds))
         return;
     int64_t offset_q16 = sync->offset_q16;
@@ -310,6 +309,7 @@ static int32_t worst_ns(const struct sync *sync) {
 }
 
 void sync_tell(struct sync *sync, const struct sync_settings *settings) {
+    sync->told_us = sync->carried_us;
     if (sync_is_reference(sync)) {
         sync->least_error_ns = sync->most_error_ns = 0;
     } else if (bounds_closed(&sync->bounds)) {

@@ -367,3 +367,64 @@ def test_what_is_wrong_with_feeds_is_named() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             logic.check()
+
+
+def queue_packets(of: Street) -> None:
+    """Packets for the first board wait until its main loop polls: then one comes with a period."""
+    happen = of.boards._happen
+
+    def happens(now_us: int, number: int, board: int, what: int, packet: bytes) -> None:
+        if what >= 0 and board == 0:
+            of.boards.arrive(End(board, what), now_us, packet)
+        else:
+            happen(now_us, number, board, what, packet)
+
+    of.boards._happen = happens  # type: ignore[method-assign]
+
+
+def test_the_first_point_of_a_logic_is_of_its_own_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The encoder was read by no logic before, and a logic comes between a period and its poll."""
+    settings = device_settings
+
+    def often(*given, **more):  # type: ignore[no-untyped-def]
+        made = settings(*given, **more)
+        made.servo_period_us = 100
+        return made
+
+    monkeypatch.setitem(globals(), "device_settings", often)
+    of = street()
+    queue_packets(of)
+    of.boards.encoders[0] = lambda true_us: 1234
+    of.run(50_000)
+    of.signals(1).rule(Logic(triggers=[(INTERVAL, TRACK, 0, 5)], fed=[(TRACK, NUMBER)]))
+    of.run(100_000)
+    of.signals(0).rule(Logic(feeds=[(RAMP, POSITION, NUMBER, 40, 12_000)]))
+    of.run(200_000)
+    values = set(of.readings(1)[:, 1].tolist())
+    assert 1234 in values and values <= {0, 1234}
+
+
+def test_lag_is_unknown_when_the_clock_settles_again() -> None:
+    """Meanwhile the producer has died: an output that needs a small lag stays off."""
+    of = street()
+    of.boards.nodes[0].digital_in = 1
+    window, gate = _core.NODE_KINDS.index("window"), _core.NODE_KINDS.index("gate")
+    of.signals(0).rule(Logic(feeds=[(STEP, DIGITAL, NUMBER, 2, 9000)]))
+    nodes = [(window, LAG, 0, 0, 20), (gate, TRACK, NODE, 0, 0)]
+    of.signals(1).rule(Logic(nodes=nodes, digital=[NODE + 1], fed=[(TRACK, NUMBER)]))
+    of.run(300_000)
+    node, host = of.boards.nodes[1], of.boards.hosts[1]
+    assert [on for _, _, on in node.flips][-1]
+    packets, host.packets = host.packets, lambda now_us: []  # type: ignore[method-assign]
+    of.meddle = lambda board, packet: [packet] if _core.cobs_decode(packet)[1] == 15 else []
+    for _ in range(400):
+        of.run(10_000)
+        if not node.synced:
+            break
+    assert not node.synced
+    of.meddle = lambda board, packet: []
+    of.run(1_000_000)
+    before = len(node.flips)
+    host.packets = packets  # type: ignore[method-assign]
+    of.run(5_000_000)
+    assert node.synced and not any(on for _, _, on in list(node.flips)[before:])

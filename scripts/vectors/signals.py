@@ -12,6 +12,7 @@ LONGEST_US, TIME_MAX = 1 << 30, 1 << 60
 TOP = (1 << 31) - 1
 EDGES = (-TOP - 1, -TOP, -65536, -1, 0, 1, 2, 65535, 65536, TOP)
 KINDS, PAST, INPUTS, NODE = 7, 6, range(16, 26), 32
+MANY = 1 << 31  # pieces: then none is taken any more
 PAST_KNOTS = 254  # that a track of motion reaches back
 TWO = (0, 1, 4)  # kinds that read b: add, multiply, gate
 
@@ -35,6 +36,17 @@ def pieces(rng: Random) -> Iterator[str]:
     yield from _left_out()
     yield from _refused()
     yield from _ring(rng)
+    yield from _many()
+
+
+def _many() -> Iterator[str]:
+    """Up to the last number, and beyond: a full track goes on with what it has."""
+    yield line("pieces-after", count=MANY - 1)
+    for number in (MANY - 1, MANY, MANY + 1, MANY + 1, MANY - 1, MANY + 2):
+        at = 10 * (number - MANY + 2)
+        yield line("piece-take", number=number, start_us=at, end_us=at + 5, to=number % 7, now_us=0)
+        yield line("piece-at", time_us=at + 5)
+        yield line("piece-now", time_us=at + 5)
 
 
 def _left_out() -> Iterator[str]:

@@ -56,6 +56,7 @@ static void replay_neighbours_period(void) {
     device.sync.least_error_ns = (int32_t)given("least_error_ns");
     device.sync.most_error_ns = (int32_t)given("most_error_ns");
     device.sync.told_us = device.clock.ticks_us;
+    device.signals.stepped = true;
 }
 
 // A host's, and what its servo periods find from now on: sources, and their values.

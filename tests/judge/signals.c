@@ -25,6 +25,13 @@ static struct wanted_piece given_piece(void) {
 // A track without pieces; its next one has a number.
 static void replay_pieces(void) { memset(&pieces, 0, sizeof pieces); }
 
+// As after so many: all that it remembers are events at time 0.
+static void replay_pieces_after(void) {
+    replay_pieces();
+    pieces.next = (uint32_t)given("count");
+    pieces.current = pieces.next - 1;
+}
+
 static void replay_piece_take(void) {
     static const char *const results[] = {"taken", "gap", "late", "order", "full"};
     struct wanted_piece piece = given_piece();
@@ -290,6 +297,7 @@ static void replay_report_decode(void) {
 
 const struct word signal_words[] = {
     {"pieces", replay_pieces},
+    {"pieces-after", replay_pieces_after},
     {"piece-take", replay_piece_take},
     {"piece-at", replay_piece_at},
     {"piece-past", replay_piece_past},
