@@ -26,7 +26,7 @@ from headway.sim.lockstep import Lockstep
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "configs" / "arm2.yaml"
 DEVICES, PERIOD_US = 8, 100
-MOTION_MS = 180  # of the last plan, which is 225 ms long
+MOTION_MS = 180  # of the last plan, which is 242 ms long
 STEP_US = 250
 
 

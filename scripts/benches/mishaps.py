@@ -24,8 +24,8 @@ STILL = 0.1  # rad/s: an axis that is slower from here on has come to rest but f
 SETTLED_S = 0.25  # after its rest
 AFTER_S = 0.5  # of the task after the mishap, at most
 KNOT_S = 0.004096
-# A plan reaches 213 ms; before it coasts a device waits 5 knots, and 3 more are the margin.
-PLAN_S = 0.213 + 8 * KNOT_S
+# How far a plan reaches; before it coasts a device waits 5 knots, and 3 more are the margin.
+PLAN_S = 0.229376 + 8 * KNOT_S
 # So long a device may have had no plan and not count as one without; rest is seen by milliseconds.
 TOGETHER_S = 5 * KNOT_S + 1e-3
 # The hung axis itself: late_us, a call of the guard and the brake's time are 20 ms; then it slips
