@@ -220,6 +220,8 @@ static APART void run_signals(struct device *device, struct board *board,
     if (signals->reads >> TRACK_KP != 0)
         read_more(device, board, now, signals->reads);
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
+    if (!device->sync.settled && signals->logic.feds != 0)
+        values[INPUT_LAG] = FEED_UNKNOWN_MS;
     signals_step(signals, board, &device->clock, device->settings.servo_period_us, live);
 }
 

@@ -96,8 +96,6 @@ static uint32_t lineage(const struct device *device) {
 static void feed(struct device *device, struct board *board) {
     struct signals *signals = &device->signals;
     const struct logic *logic = &signals->logic;
-    if (!device->sync.settled && logic->feds != 0)
-        signals->values[INPUT_LAG] = FEED_UNKNOWN_MS;
     if (!device->sync.settled || !signals->stepped)
         return;
     if (device->clock.count_us != signals->feeds.count_us)

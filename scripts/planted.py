@@ -57,8 +57,8 @@ BUGS = (
     Bug(
         "clock steered away",  # from the middle of what the stamps allow
         "firmware/sync.c",
-        "target_q16(sync, clock->ticks_us) - offset_q16;",
-        "offset_q16 - target_q16(sync, clock->ticks_us);",
+        "bounds_middle_q16(bounds)) - offset_q16;",
+        "bounds_middle_q16(bounds)) * -1 + offset_q16;",
         "tests/test_device_states.py::test_syncs_to_the_hosts_time",
     ),
     Bug(
@@ -168,9 +168,9 @@ BUGS = (
     ),
     Bug(
         "encoder judged by feedback alone",
-        "firmware/device.c",
-        ".torque_tq = device->power ? servo->torque_tq : 0,",
-        ".torque_tq = device->power ? servo->feedback_tq : 0,",
+        "firmware/monitor.c",
+        "torque_tq = seen->servo->torque_tq;",
+        "torque_tq = seen->servo->feedback_tq;",
         "tests/test_stops.py::test_a_stuck_encoder_is_found_by_any_torque",
     ),
     Bug(
