@@ -207,8 +207,8 @@ def load_stage(path: Path) -> Stage:
         for problem in error.errors(include_url=False, include_context=False):
             text = problem["msg"].removeprefix("Value error, ")
             if problem["type"] == "extra_forbidden":
-                text = "there is no such key here; those that there are show configs/strobe.yaml"
-                text += " and configs/gear.yaml"
+                text = "there is no such key here; configs/strobe.yaml and configs/gear.yaml show "
+                text += "those that there are"
             mistakes.append(mistake(tuple(problem["loc"]), text))
         raise ConfigError(*mistakes) from error
     mistakes += [mistake(key, text) for key, text in _unknown(stage)]
@@ -298,12 +298,9 @@ def _unknown(stage: Stage) -> list[tuple[KeyPath, str]]:
 def _feeds(stage: Stage, name: str) -> list[tuple[KeyPath, str]]:
     """Names of feeds that stand for two things, and more of them than there is room for."""
     device, found = stage.devices[name], list[tuple[KeyPath, str]]()
+    nodes = (node for other in stage.devices.values() for node in other.nodes)
+    taken = {*stage.tracks, *INPUTS, *nodes}
     for feed in device.feeds:
-        taken = [
-            *stage.tracks,
-            *INPUTS,
-            *(node for other in stage.devices.values() for node in other.nodes),
-        ]
         if feed in taken or stage.feeds[feed] != name:
             text = "is the name of something else: give it another one"
             found.append((("feeds", feed), text))

@@ -42,7 +42,7 @@ class Osqp(Solver):
 class Stages:
     def __init__(
         self,
-        interval_s: float,
+        cubic: list[tuple[float, float, float]],
         driven: list[int],
         bounded: list[int],
         a: Array,

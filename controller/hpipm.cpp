@@ -6,17 +6,11 @@
 #include <cmath>
 #include <cstdint>
 
-// Of the cubic between two nodes the speed half-way, and h times the acceleration where it begins: so
-// many times 6 (q_{i+1} - q_i) / h, and these times v_i and v_{i+1}.
-static constexpr struct {
-    double lever, begins, ends;
-} BETWEEN[] = {{0.25, -0.25, -0.25}, {1, -4, -2}};
-static constexpr int KINDS = 2;
-
 // At rest within this: an equality has no interior, which the method needs.
 static constexpr double REST = 1e-5;
 
-Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move(stages)) {
+Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance)
+    : p_(std::move(stages)), between_((int)(p_.cubic.size() * p_.driven.size())) {
     int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     auto block = [&](hpipm_size_t size) -> void * {
         memory_.emplace_back(new char[size + 64]());
@@ -29,7 +23,7 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
         d_ocp_qp_dim_set_nu(i, i == 0 ? 2 * w : i < count ? w : 0, &dim_);
         d_ocp_qp_dim_set_nbx(i, i < 1 ? 0 : i < count - 1 ? w : 2 * w, &dim_); // rest, torque
         d_ocp_qp_dim_set_nbu(i, i ? 0 : w, &dim_);                             // u_0
-        d_ocp_qp_dim_set_ng(i, (i < count ? KINDS * w : 0) + (i ? soft : 0), &dim_);
+        d_ocp_qp_dim_set_ng(i, (i < count ? between_ : 0) + (i ? soft : 0), &dim_);
         d_ocp_qp_dim_set_ns(i, i ? soft : 0, &dim_);
     }
     d_ocp_qp_create(&dim_, &qp_, block(d_ocp_qp_memsize(&dim_)));
@@ -45,7 +39,7 @@ Hpipm::Hpipm(Stages stages, int max_iterations, double tolerance) : p_(std::move
     work_memory_ = block(d_ocp_qp_ipm_ws_memsize(&dim_, &arg_));
     d_ocp_qp_ipm_ws_create(&dim_, &arg_, &work_, work_memory_);
     buffer_.resize((size_t)(9 * n * n));
-    offset_.resize((size_t)(KINDS * w * count));
+    offset_.resize((size_t)(between_ * count));
     set_constant();
 }
 
@@ -129,11 +123,11 @@ bool Hpipm::update() {
     int n = p_.axes, w = (int)p_.driven.size(), count = p_.intervals, soft = (int)p_.bounded.size();
     const double *scale = p_.column_scale.data(), *torque = scale + 2 * n * (count + 1);
     const int *driven = p_.driven.data();
-    double *m = buffer_.data(), per_s = 6 / p_.interval_s;
+    double *m = buffer_.data();
     for (int i = 0; i < count; ++i) {
         const double *a = p_.a.data() + i * 4 * n * n;
         const double *b0 = p_.b0.data() + i * 2 * n * n, *b1 = p_.b1.data() + i * 2 * n * n;
-        int rows = 2 * n + w, ng = dim_.ng[i], between = KINDS * w;
+        int rows = 2 * n + w, ng = dim_.ng[i];
         if (i) {
             std::fill_n(m, 9 * n * n, 0.0);
             for (int c = 0; c < 2 * n; ++c)
@@ -144,10 +138,9 @@ bool Hpipm::update() {
                     m[(2 * n + c) * rows + r] = b0[driven[c] * 2 * n + r] * torque[c] / scale[r];
             d_ocp_qp_set_A(i, m, &qp_);
             std::fill_n(m, 9 * n * n, 0.0); // C: the cubic, then what is soft
-            for (int r = 0; r < between; ++r) {
-                auto [lever, begins, ends] = BETWEEN[r / w];
+            for (int r = 0; r < between_; ++r) {
+                auto [lever, begins, ends] = p_.cubic[(size_t)(r / w)];
                 int q = driven[r % w], v = n + q;
-                lever *= per_s;
                 for (int c = 0; c < 2 * n; ++c) {
                     double own = c == q ? -lever : c == v ? begins : 0;
                     m[c * ng + r] =
@@ -160,8 +153,8 @@ bool Hpipm::update() {
             }
             for (int r = 0; r < soft; ++r) {
                 int axis = p_.bounded[(size_t)r];
-                m[axis * ng + between + r] = scale[axis];
-                m[(n + axis) * ng + between + r] = p_.approach_s.data()[axis] * scale[n + axis];
+                m[axis * ng + between_ + r] = scale[axis];
+                m[(n + axis) * ng + between_ + r] = p_.approach_s.data()[axis] * scale[n + axis];
             }
             d_ocp_qp_set_C(i, m, &qp_);
         }
@@ -178,13 +171,13 @@ bool Hpipm::update() {
         d_ocp_qp_set_B(i, m, &qp_);
         std::fill_n(m, 9 * n * n, 0.0); // D
         for (int c = 0; c < w; ++c)
-            for (int r = 0; r < between; ++r) {
-                auto [lever, _, ends] = BETWEEN[r / w];
+            for (int r = 0; r < between_; ++r) {
+                auto [lever, _, ends] = p_.cubic[(size_t)(r / w)];
                 int q = driven[r % w], v = n + q;
                 const double *of0 = b0 + driven[c] * 2 * n, *of1 = b1 + driven[c] * 2 * n;
-                m[(first + c) * ng + r] = (lever * per_s * of1[q] + ends * of1[v]) * torque[c];
+                m[(first + c) * ng + r] = (lever * of1[q] + ends * of1[v]) * torque[c];
                 if (i == 0)
-                    m[c * ng + r] = (lever * per_s * of0[q] + ends * of0[v]) * torque[c];
+                    m[c * ng + r] = (lever * of0[q] + ends * of0[v]) * torque[c];
             }
         d_ocp_qp_set_D(i, m, &qp_);
     }
@@ -210,8 +203,8 @@ void Hpipm::set_vectors() {
     const double *low = p_.lower.data(), *up = p_.upper.data(), *rows = p_.row_scale.data();
     const double *gradient = p_.gradient.data(), *torques = gradient + x * (count + 1);
     int torque_row = x * (count + 1) + 2 * w, speed_row = torque_row + w * (count + 1);
-    int soft_row = speed_row + KINDS * w * count;
-    double *m = buffer_.data(), *l = m + 3 * n, *u = m + 6 * n, per_s = 6 / p_.interval_s;
+    int soft_row = speed_row + between_ * count;
+    double *m = buffer_.data(), *l = m + 3 * n, *u = m + 6 * n;
     for (int i = 0; i <= count; ++i) {
         if (i < count) { // b
             const double *a = p_.a.data() + i * x * x;
@@ -223,12 +216,12 @@ void Hpipm::set_vectors() {
             }
             std::fill_n(m + x, w, 0.0);
             d_ocp_qp_set_b(i, m, &qp_);
-            for (int r = 0; r < KINDS * w; ++r) { // of the cubic; dx_0 is known
-                auto [lever, begins, ends] = BETWEEN[r / w];
+            for (int r = 0; r < between_; ++r) { // of the cubic; dx_0 is known
+                auto [lever, begins, ends] = p_.cubic[(size_t)(r / w)];
                 int q = driven[r % w], v = n + q;
-                double own = i ? 0 : begins * low[v] * scale[v] - lever * per_s * low[q] * scale[q];
-                offset_[(size_t)(i * KINDS * w + r)] =
-                    own + lever * per_s * m[q] * scale[q] + ends * m[v] * scale[v];
+                double own = i ? 0 : begins * low[v] * scale[v] - lever * low[q] * scale[q];
+                offset_[(size_t)(i * between_ + r)] =
+                    own + lever * m[q] * scale[q] + ends * m[v] * scale[v];
             }
         }
         if (i) {
@@ -259,17 +252,17 @@ void Hpipm::set_vectors() {
             d_ocp_qp_set_lbu(0, l, &qp_);
             d_ocp_qp_set_ubu(0, u, &qp_);
         }
-        int between = i < count ? KINDS * w : 0;
-        for (int r = 0; r < between; ++r) {
+        int here = i < count ? between_ : 0;
+        for (int r = 0; r < here; ++r) {
             int row = speed_row + (r / w * count + i) * w + r % w;
-            double own = offset_[(size_t)(i * KINDS * w + r)];
+            double own = offset_[(size_t)(i * between_ + r)];
             l[r] = low[row] / rows[row] - own;
             u[r] = up[row] / rows[row] - own;
         }
         for (int r = 0; i && r < soft; ++r) {
             int above = soft_row + (i - 1) * soft + r, below = above + soft * count;
-            l[between + r] = -up[below] / rows[below];
-            u[between + r] = up[above] / rows[above];
+            l[here + r] = -up[below] / rows[below];
+            u[here + r] = up[above] / rows[above];
         }
         d_ocp_qp_set_lg(i, l, &qp_);
         d_ocp_qp_set_ug(i, u, &qp_);

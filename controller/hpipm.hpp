@@ -30,6 +30,7 @@ class Hpipm : public Solver {
     void measure(Answer &answer) const;
 
     Stages p_;
+    int between_;                                 // rows of a stage's cubic
     std::vector<std::unique_ptr<char[]>> memory_; // what HPIPM works in
     d_ocp_qp_dim dim_{};
     d_ocp_qp qp_{};

@@ -1,6 +1,7 @@
 // What a tick computes, for Python: no argument is looked at in a call, and the GIL is released.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -196,17 +197,17 @@ NB_MODULE(_tick, m) {
     nb::class_<Stages>(m, "Stages", "A problem by stages, in arrays that others fill.")
         .def(
             "__init__",
-            [](Stages *self, double interval_s, std::vector<int> driven, std::vector<int> bounded,
-               Matrix a, Matrix b0, Matrix b1, Matrix gradient, Matrix lower, Matrix upper,
-               Matrix column_scale, Matrix row_scale, Matrix state, Matrix torque, Matrix step,
-               Matrix curvature, Matrix approach_s, Matrix soft) {
+            [](Stages *self, std::vector<std::array<double, 3>> cubic, std::vector<int> driven,
+               std::vector<int> bounded, Matrix a, Matrix b0, Matrix b1, Matrix gradient,
+               Matrix lower, Matrix upper, Matrix column_scale, Matrix row_scale, Matrix state,
+               Matrix torque, Matrix step, Matrix curvature, Matrix approach_s, Matrix soft) {
                 int axes = (int)approach_s.size(), intervals = (int)step.shape(1);
-                new (self) Stages{axes,  intervals,    interval_s, driven,   bounded,
-                                  a,     b0,           b1,         gradient, lower,
-                                  upper, column_scale, row_scale,  state,    torque,
-                                  step,  curvature,    approach_s, soft};
+                new (self)
+                    Stages{axes,   intervals, cubic,     driven,     bounded,      a,         b0,
+                           b1,     gradient,  lower,     upper,      column_scale, row_scale, state,
+                           torque, step,      curvature, approach_s, soft};
             },
-            "interval_s"_a, "driven"_a, "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a,
+            "cubic"_a, "driven"_a, "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a,
             "upper"_a, "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a,
             "curvature"_a, "approach_s"_a, "soft"_a,
             "Arrays in Fortran order, see stages.hpp; `driven`: the axes with a motor; `bounded`: "

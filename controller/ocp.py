@@ -55,7 +55,7 @@ ROOM = {"rad": 4e-3, "m": 4e-4}
 UNBOUNDED = 1e20
 # What two nodes say of the cubic between them: so many times 6 (q_{i+1} - q_i) / h, plus these
 # times v_i and v_{i+1}, are the speed half-way, and h times the acceleration where it begins.
-SPEED, ACCELERATION = (0.25, -1.0, -1.0), (1.0, -4.0, -2.0)
+CUBIC = (0.25, -0.25, -0.25), (1.0, -4.0, -2.0)
 # A plan whose constraints hold within these is believed: rad or m, and per second; torques within a
 # share of their limit.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE_SHARE = 3e-4, 1e-2, 5e-3
@@ -123,6 +123,8 @@ class Ocp:
         count = self.intervals = mpc.intervals
         self.limits = limits
         self.interval_s = mpc.horizon_us * 1e-6 / count
+        # The same, of q_{i+1} - q_i in SI, v_i and v_{i+1}.
+        self.cubic = [(6 / self.interval_s * lever, v0, v1) for lever, v0, v1 in CUBIC]
         self.states = slice(0, (count + 1) * 2 * n)
         self.torques = slice(self.states.stop, self.states.stop + (count + 1) * w)
         self.slacks = slice(self.torques.stop, self.torques.stop + n)
@@ -262,11 +264,11 @@ class Ocp:
         put(row, self.torques.start, np.eye((count + 1) * w))
         row += (count + 1) * w
         self._speed_row = row
-        lever = 6 / self.interval_s * np.eye(2 * n)[self.driven]
-        for scale, begins, ends in (SPEED, ACCELERATION):
+        positions = np.eye(2 * n)[self.driven]
+        for lever, begins, ends in self.cubic:
             for i in range(count):
-                put(row, state(i), scale * (-lever + begins * speeds))
-                put(row, state(i + 1), scale * (lever + ends * speeds))
+                put(row, state(i), -lever * positions + begins * speeds)
+                put(row, state(i + 1), lever * positions + ends * speeds)
                 row += w
         self._soft_row = row
         own = np.eye(n)[self.bounded]
@@ -385,10 +387,11 @@ class Ocp:
         q, v, speed = x[:n, :], x[n:, :], x[moved, :]
         equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(speed[:, -2:])
         all_along = ca.DM.ones(1, count)
+        fastest, surge = self._between(q[driven, :], speed)
         pairs = (
             (u, p["torque"]),
-            (self._between(SPEED, q[driven, :], speed), p["velocity"] @ all_along),
-            (self._between(ACCELERATION, q[driven, :], speed), p["surge"] @ all_along),
+            (fastest, p["velocity"] @ all_along),
+            (surge, p["surge"] @ all_along),
         )
         soft_min, soft_max = self._soft_limits(p, start[:n])
         ahead = q + v * p["approach_s"]
@@ -452,7 +455,7 @@ class Ocp:
         dq, dv = dx[driven, :], dx[[n + axis for axis in driven], :]
         value = ca.vertcat(
             dx[:, 0], *defects, ca.vec(dv[:, -2:]), ca.vec(du),
-            *(ca.vec(self._between(kind, dq, dv)) for kind in (SPEED, ACCELERATION)),
+            *map(ca.vec, self._between(dq, dv)),
         )  # fmt: skip
         scale = p["row_scale"][:rows]
         excess = ca.fmax(lower[:rows] / scale - value, value - upper[:rows] / scale)
@@ -501,11 +504,14 @@ class Ocp:
             for name, part, shape in zip(self._values, parts, shapes, strict=True)
         }
 
-    def _between(self, kind: tuple[float, float, float], q: Any, v: Any) -> Any:
-        """Of each interval, (w, N)."""
-        scale, begins, ends = kind
-        moved = 6 / self.interval_s * (q[:, 1:] - q[:, :-1])
-        return scale * (moved + begins * v[:, :-1] + ends * v[:, 1:])
+    def _between(self, q: Any, v: Any) -> list[Any]:
+        """Of each interval the speed half-way, and h times the acceleration where it begins, (w, N)
+        each."""
+        moved = q[:, 1:] - q[:, :-1]
+        return [
+            lever * moved + begins * v[:, :-1] + ends * v[:, 1:]
+            for lever, begins, ends in self.cubic
+        ]
 
     @staticmethod
     def _smoothness(weight: Any) -> Any:

@@ -226,7 +226,7 @@ def _stages(ocp: Ocp, pool: dict[str, Array]) -> Stages:
     vectors = pool["gradient"], pool["lower"], pool["upper"]
     scales, hessian, soft = ocp.stages()
     return Stages(
-        ocp.interval_s,
+        ocp.cubic,
         ocp.driven,
         ocp.bounded.tolist(),
         *(pool["a"], pool["b0"], pool["b1"]),
@@ -251,9 +251,13 @@ def riccati_source(ocp: Ocp, curved: bool) -> str:
     """riccati.c with what it is compiled for; `curved`: for costs of the task's own."""
     numbers = {
         "AXES": ocp.n, "MOTORS": len(ocp.driven), "SOFT": len(ocp.bounded),
-        "INTERVALS": ocp.intervals, "CURVED": int(curved),
+        "INTERVALS": ocp.intervals, "CURVED": int(curved), "BETWEEN": len(ocp.cubic),
     }  # fmt: skip
-    lists = {"DRIVEN": ocp.driven, "BOUNDED": ocp.bounded.tolist() or [0]}  # C has no empty array
+    lists: dict[str, list[int] | list[str]] = {
+        "DRIVEN": ocp.driven,
+        "BOUNDED": ocp.bounded.tolist() or [0],  # C has no empty array
+        "CUBIC": [f"{{{', '.join(map(str, row))}}}" for row in ocp.cubic],
+    }
     lines = [f"#define {name} {value}" for name, value in numbers.items()]
     lines += [f"#define {name} {{{', '.join(map(str, of))}}}" for name, of in lists.items()]
     here = Path(__file__).parent

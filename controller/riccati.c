@@ -1,7 +1,8 @@
 // An interior-point method for the tick's program whose linear algebra is a Riccati recursion over
 // the horizon: Rao, Wright, Rawlings, J. Optim. Theory Appl. 99, 1998; predictor and corrector:
 // Mehrotra, SIAM J. Optim. 2, 1992. It is compiled for one machine and horizon, behind riccati.h and
-// definitions of AXES, MOTORS, SOFT, INTERVALS, DRIVEN, BOUNDED (lists of axes) and CURVED (0 or 1).
+// definitions of AXES, MOTORS, SOFT, INTERVALS, DRIVEN, BOUNDED (lists of axes), CURVED (0 or 1), and
+// BETWEEN and CUBIC: how many rows of a cubic there are, and three numbers each.
 //
 // A node's variables are y_i = [q_i; v_i; u_i], a stage's are s_i = [u_{i+1}; y_i]:
 //
@@ -33,8 +34,7 @@ enum {
     Y = X + W,
     S = W + Y,
     N = INTERVALS,
-    BETWEEN = 2, // kinds of rows of a cubic; torques come first
-    AHEAD = (1 + BETWEEN) * W,
+    AHEAD = (1 + BETWEEN) * W, // torques come first, then rows of a cubic
     ROWS = AHEAD + SOFT,
     SV = VECTORS(S),
     XV = VECTORS(X),
@@ -52,8 +52,8 @@ static const int driven[] = DRIVEN, bounded[] = BOUNDED;
 // Rows of a cubic: lever (q_{i+1} - q_i) + begins v_i + ends v_{i+1}, a speed, or h times an
 // acceleration.
 static const struct {
-    double lever, begins, ends; // lever: in 6 / h
-} between[BETWEEN] = {{0.25, -0.25, -0.25}, {1, -4, -2}};
+    double lever, begins, ends; // SI
+} between[BETWEEN] = CUBIC;
 
 // A bound that is none. An equality gives way by its multiplier over STIFF within a Newton step,
 // not in what it converges to.
@@ -474,7 +474,7 @@ int riccati_update(void *memory, const struct riccati_problem *p) {
     for (int k = 0; k < BETWEEN; ++k)
         for (int j = 0; j < W; ++j) {
             int q = driven[j];
-            m->lever[k][j] = between[k].lever * 6 / p->interval_s * scale[q] / scale[AXES + q];
+            m->lever[k][j] = between[k].lever * scale[q] / scale[AXES + q];
         }
     memset(&m->weight, 0, sizeof m->weight);
     return factorize(m);

@@ -14,7 +14,6 @@ struct riccati_problem {
     const double *step;              // ... its torque steps (w, N), which are in neither
     const double *curvature;         // (2n, 2n(N+1)), unscaled, on top of `state`; or NULL
     const double *approach_s, *soft; // (n,): T of the soft limits, and their weight
-    double interval_s;
 };
 
 struct riccati_answer {

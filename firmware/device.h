@@ -33,11 +33,11 @@
 #define DEVICE_FRESH_US 100000     // a plan sent longer ago is stale
 #define DEVICE_START_PQ (64 << 10) // a first plan starts within this of the measured position
 #define DEVICE_START_STEPS_PQ (2 << 10) // ... and a stepper's within this
+// Servo periods in which each duty has its turn, where they are so short that all take no longer than
+// this.
 #define DEVICE_TURNS_SHIFT 4
-#define DEVICE_TURNS                                                                               \
-    (1                                                                                             \
-     << DEVICE_TURNS_SHIFT)  // servo periods in which each duty has its turn, if they are short ...
-#define DEVICE_TURNS_US 2000 // ... so that all of them take no longer than this
+#define DEVICE_TURNS (1 << DEVICE_TURNS_SHIFT)
+#define DEVICE_TURNS_US 2000
 #define DEVICE_REST_PQ (1 << 10) // at rest: measured speed below a count per servo period
 
 // What need not be done in each servo period: where these are short, each has a turn, or a few, of

@@ -37,7 +37,6 @@ struct taken {
 };
 
 struct feeds {
-    uint32_t count_us; // of the last servo period
     uint8_t given_last;
     uint16_t fed; // bit i: track i of pieces is taken from another board
     uint32_t gaps;

@@ -96,12 +96,12 @@ static uint32_t lineage(const struct device *device) {
 static void feed(struct device *device, struct board *board) {
     struct signals *signals = &device->signals;
     const struct logic *logic = &signals->logic;
-    if (!device->sync.settled || !signals->stepped)
+    if (!device->sync.settled)
         return;
-    if (device->clock.count_us != signals->feeds.count_us)
+    if (signals->stepped)
         signals->values[INPUT_LAG] =
             feeds_step(&signals->feeds, logic, signals->values, device->clock.system_us);
-    signals->feeds.count_us = device->clock.count_us;
+    signals->stepped = false;
     const struct peer_feed *next = feeds_next(&signals->feeds, logic->feeds);
     if (!next)
         return;

@@ -18,7 +18,7 @@ struct signals {
     bool ruled;                    // there is a logic
     bool by_nodes;                 // of which only nodes drive outputs, digital ones ...
     bool steady;                   // ... and these have been told since the last change
-    bool stepped;                  // values are of the logic at hand
+    bool stepped;                  // values are of the logic at hand, and no feed has had them
     uint8_t on;                    // bit i: digital output i, as the board was told last ...
     uint8_t ahead;                 // ... bit i: with a count that was yet to come
     uint8_t placed;                // bit i: told[i] is right

@@ -174,13 +174,11 @@ class Lockstep:
             plant.step(-(-(target_us - now_us) // step_us))
             now_us = plant.true_us
             if noting and now_us % TRUTH_US == 0:
-                self._note_truth(now_us, wanted[(now_us - first_us) // TRUTH_US])
-        self._publish()
+                at = wanted[(now_us - first_us) // TRUTH_US]  # what the reference has then
+                note_truth(self.record, plant, now_us + self.epoch_us, at)
+        if noting:
+            self._publish()
         self.link.collect()
-
-    def _note_truth(self, true_us: int, reference: NDArray[np.float64]) -> None:
-        """True motion; and the state at that time as the reference has it."""
-        note_truth(self.record, self.plant, true_us + self.epoch_us, reference)
 
     def _note_end(self) -> None:
         """What the devices and the wires have counted."""

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig import PERIOD_US, SHIFT, Plan, Rig, State, device_settings
 from scipy.interpolate import BSpline
+from stages import assert_mistake, changed
 
-from headway.configs.mistakes.mistake import ConfigError
 from headway.configs.stage import load_stage
 from headway.firmware import _core
 from headway.sim.stage import Play
@@ -236,9 +236,4 @@ def test_pieces_are_played_again_later(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, old: str, new: str, key: str, text: str) -> None:
-    assert STAGE.count(old) == 1
-    file = tmp_path / "echo.yaml"
-    file.write_text(STAGE.replace(old, new))
-    with pytest.raises(ConfigError) as error:
-        load_stage(file)
-    assert key in str(error.value) and text in str(error.value)
+    assert_mistake(changed(tmp_path, STAGE, old, new), key, text)

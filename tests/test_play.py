@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stages import assert_mistake, changed
 
 from headway.cli.main import main
 from headway.configs.mistakes.mistake import ConfigError
@@ -59,7 +60,7 @@ def test_a_wave_beyond_the_bandwidth_is_put_together(played: Play) -> None:
 
 
 def test_the_same_seed_plays_the_same(tmp_path: Path) -> None:
-    file = changed(tmp_path, "duration_s: 2.0", "duration_s: 0.3")
+    file = changed(tmp_path, STROBE.read_text(), "duration_s: 2.0", "duration_s: 0.3")
     command = [sys.executable, "-c", "from headway.cli.main import main; main()", "play"]
     done = [
         subprocess.run([*command, file, "--json"], capture_output=True, text=True) for _ in range(2)
@@ -68,14 +69,6 @@ def test_the_same_seed_plays_the_same(tmp_path: Path) -> None:
     assert done[0].stdout == done[1].stdout
     figures = json.loads(done[0].stdout)
     assert [row["times"] for row in figures["outputs"]] == [20, 20]
-
-
-def changed(folder: Path, old: str, new: str) -> Path:
-    text = STROBE.read_text()
-    assert text.count(old) == 1
-    file = folder / "stage.yaml"
-    file.write_text(text.replace(old, new))
-    return file
 
 
 @pytest.mark.parametrize(
@@ -115,18 +108,14 @@ def changed(folder: Path, old: str, new: str) -> Path:
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, old: str, new: str, key: str, text: str) -> None:
-    file = changed(tmp_path, old, new)
-    with pytest.raises(ConfigError) as error:
-        load_stage(file)
-    said = str(error.value)
-    assert key in said and text in said
-    assert said.startswith(f"{file}:")
+    assert_mistake(changed(tmp_path, STROBE.read_text(), old, new), key, text)
 
 
 def test_the_command_ends_with_2_for_a_mistake(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["play", str(changed(tmp_path, "a: sweep", "a: swep"))]) == 2
+    file = changed(tmp_path, STROBE.read_text(), "a: sweep", "a: swep")
+    assert main(["play", str(file)]) == 2
     assert "there is no 'swep'" in capsys.readouterr().err
     assert main(["play", str(tmp_path / "none.yaml")]) == 2
 
@@ -276,13 +265,7 @@ def test_the_gear_follows_from_board_to_board(capsys: pytest.CaptureFixture[str]
 def test_mistakes_with_feeds_are_named(
     tmp_path: Path, old: str, new: str, key: str, text: str
 ) -> None:
-    whole = GEAR.read_text()
-    assert whole.count(old) == 1
-    file = tmp_path / "stage.yaml"
-    file.write_text(whole.replace(old, new))
-    with pytest.raises(ConfigError) as error:
-        load_stage(file)
-    assert key in str(error.value) and text in str(error.value)
+    assert_mistake(changed(tmp_path, GEAR.read_text(), old, new), key, text)
 
 
 def test_no_device_has_more_wires_or_feeds_than_room(tmp_path: Path) -> None:

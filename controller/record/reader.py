@@ -51,7 +51,7 @@ class Run:
     arrays: Arrays = field(repr=False)  # see Columns
     messages: dict[str, int]  # how many, by channel
     complete: bool  # nothing is missing, from power-up to rest
-    batches_dropped: int  # ticks, or milliseconds of the truth, that found no room in the ring
+    batches_dropped: int  # ticks, or stretches of the truth, that found no room in the ring
     log_sha256: str  # of the deterministic messages that are there
 
     def config(self) -> Config:

@@ -24,8 +24,6 @@ STILL = 0.1  # rad/s: an axis that is slower from here on has come to rest but f
 SETTLED_S = 0.25  # after its rest
 AFTER_S = 0.5  # of the task after the mishap, at most
 KNOT_S = 0.004096
-# How far a plan reaches; before it coasts a device waits 5 knots, and 3 more are the margin.
-PLAN_S = 0.229376 + 8 * KNOT_S
 # So long a device may have had no plan and not count as one without; rest is seen by milliseconds.
 TOGETHER_S = 5 * KNOT_S + 1e-3
 # The hung axis itself: late_us, a call of the guard and the brake's time are 20 ms; then it slips
@@ -36,10 +34,10 @@ HUNG_S = 0.12
 @dataclass(frozen=True)
 class Mishap:
     """What happens, and by when the healthy axes' setpoints rest [s after it, or after the struck
-    board has found out and stopped]."""
+    board has found out and stopped]: when their plans end, if it is not said."""
 
     change: str  # of the config
-    setpoints_s: float
+    setpoints_s: float | None = None
     strikes_one: bool = True  # that stops in another way; else all axes do alike
     found_out: bool = False  # by the struck board, sooner or later: till then the others go on
 
@@ -49,17 +47,17 @@ def to_one(kind: str, more: str = "") -> str:
 
 
 MISHAPS = {
-    "host killed": Mishap("sim.kill_host_at_s={at}", PLAN_S, strikes_one=False),
-    "device reset": Mishap(to_one("reset"), PLAN_S),
-    "axis partitioned": Mishap(to_one("partition"), PLAN_S, strikes_one=False),
+    "host killed": Mishap("sim.kill_host_at_s={at}", strikes_one=False),
+    "device reset": Mishap(to_one("reset")),
+    "axis partitioned": Mishap(to_one("partition"), strikes_one=False),
     # Found out once the setpoint has moved by 128 counts, or the error has grown to its limit:
     # where the axis turns round that takes its time.
-    "encoder stuck": Mishap(to_one("encoder_stuck"), PLAN_S, found_out=True),
-    "encoder reversed": Mishap(to_one("encoder_reversed"), PLAN_S, found_out=True),
+    "encoder stuck": Mishap(to_one("encoder_stuck"), found_out=True),
+    "encoder reversed": Mishap(to_one("encoder_reversed"), found_out=True),
     # Each board ramps by itself; after stop_us it brakes.
     "emergency stop": Mishap("sim.mishaps=[{{kind: emergency_stop, at_s: {at}}}]", 0.5, False),
-    "supply sag": Mishap(to_one("supply_sag", ", supply_V: {volts}"), PLAN_S),
-    "firmware hangs": Mishap(to_one("firmware_hangs", ", for_s: {hang}"), PLAN_S),
+    "supply sag": Mishap(to_one("supply_sag", ", supply_V: {volts}")),
+    "firmware hangs": Mishap(to_one("firmware_hangs", ", for_s: {hang}")),
 }
 APART = ("emergency stop",)  # where the healthy need not rest together
 MACHINES = {"arm2": tuple(MISHAPS), "arm6": ("device reset", "axis partitioned", "encoder stuck")}
@@ -142,10 +140,13 @@ def main() -> int:
     results = dict(zip(jobs, each(run, jobs), strict=True))
     rows, goals = [], []
     for machine, names in MACHINES.items():
-        decay = decay_s(load_config(CONFIGS / f"{machine}.yaml", []))
+        config = load_config(CONFIGS / f"{machine}.yaml", [])
+        decay = decay_s(config)
+        # Before it coasts a device waits 5 knots, and 3 more are the margin.
+        plan_s = config.mpc.horizon_us * 1e-6 + 8 * KNOT_S
         for name in names:
             mine = [results[machine, name, seed] for seed in range(seeds[machine])]
-            bound = MISHAPS[name].setpoints_s
+            bound = MISHAPS[name].setpoints_s or plan_s
             found, told, spread = (
                 max(r[key] for r in mine) for key in ("found_out", "setpoints", "spread")
             )
