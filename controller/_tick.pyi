@@ -133,9 +133,10 @@ class Filter:
         nis_max: float,
         in_a_row: int,
         rows: int,
+        bundle_us: int,
     ) -> None:
-        """`rows`: room for so many samples at first. Raises ValueError for arrays of other sizes
-        than the step's."""
+        """`rows`: room for so many samples at first; `bundle_us`: see Estimator. Raises ValueError
+        for arrays of other sizes than the step's."""
 
     def reset(self, time_us: int, z: Array, covariance: Array) -> None:
         """Forgets all samples."""

@@ -26,6 +26,9 @@ from headway.controller.sample import Sample
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
+# Samples are stepped to together if the same multiple of this comes before them: boards that sample
+# at the same time, but each in a servo period of its own, would cost a step each.
+BUNDLE_US = 256
 STEP_MAX_US = 5_000  # of the prediction: a stiff servo loop diverges in longer Runge-Kutta steps
 HISTORY_US = 250_000  # samples older than this are forgotten
 REJECTED_IN_A_ROW = 20  # then the filter is wrong, not the samples: its covariance is widened
@@ -80,7 +83,7 @@ class Estimator:
         self._start_covariance = np.diag(start)
         step = prediction.call("step").bound  # with arrays of its own
         outlier = config.gate_sigma**2, REJECTED_IN_A_ROW
-        self._filter = Filter(step, acceleration, walk, reading, start, *outlier, ROWS)
+        self._filter = Filter(step, acceleration, walk, reading, start, *outlier, ROWS, BUNDLE_US)
         self.replayed = 0
 
     def reset(self, time_us: int, position: Array) -> None:

@@ -32,9 +32,10 @@ std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t
     return steps;
 }
 
-Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows)
-    : history(noise.reading.size(), rows), step(step), noise(std::move(noise)), outliers(outliers),
-      n(this->noise.reading.size()), carried(6 * n * n), column(3 * n), gain(3 * n) {
+Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us)
+    : history(noise.reading.size(), rows, bundle_us), step(step), noise(std::move(noise)),
+      outliers(outliers), n(this->noise.reading.size()), carried(6 * n * n), column(3 * n),
+      gain(3 * n), acceleration(n) {
     if (step.kept.size() != ARRAYS || step.kept[D].size() != n)
         throw std::invalid_argument("not a step of as many axes");
     if (this->noise.acceleration.size() != n || this->noise.walk.size() != n ||
@@ -47,7 +48,7 @@ size_t Filter::track_rows() const { return step.kept[START].size(); }
 std::vector<int64_t> Filter::times_to(int64_t now_us) const {
     std::vector<int64_t> times_us;
     for (size_t row = history.filled() - 1; row < history.size(); ++row)
-        times_us.push_back(history.sample(row).time_us);
+        times_us.push_back(history.time_us(row));
     times_us.push_back(now_us);
     return times_us;
 }
@@ -56,6 +57,7 @@ void Filter::update(double *z, double *covariance, Steps steps) {
     const size_t known = history.filled() - 1;
     std::copy_n(history.z(known), 3 * n, z);
     std::copy_n(history.covariance(known), 9 * n * n, covariance);
+    std::copy_n(history.acceleration(known), n, acceleration.data());
     take_in(z, covariance, steps.times_us[0]);
     for (size_t k = 0; k < steps.count; ++k) {
         predict(z, covariance, {1, steps.times_us + 3 * k, steps.tracks + 3 * track_rows() * k});
@@ -63,10 +65,10 @@ void Filter::update(double *z, double *covariance, Steps steps) {
     }
 }
 
-// All samples of one time that are not yet in.
+// All samples of one bundle that are not yet in.
 void Filter::take_in(double *z, double *covariance, int64_t time_us) {
-    for (size_t row = history.filled();
-         row < history.size() && history.sample(row).time_us == time_us; ++row)
+    for (size_t row = history.filled(); row < history.size() && history.time_us(row) == time_us;
+         ++row)
         correct(z, covariance, row);
 }
 
@@ -128,11 +130,11 @@ VECTORS static void propagate(double *p, const double *f, double *carried, size_
 }
 
 // P becomes (I - K H) P (I - K H)' + K R K', Joseph's form, in its upper half: `column` is P H',
-// `at` the entry of z that was read.
+// `spread` H P H'.
 VECTORS static void narrow(double *p, const double *column, const double *gain, double reading,
-                           size_t at, size_t nz) {
+                           double spread, size_t nz) {
     for (size_t i = 0; i < nz; ++i) {
-        const double mine = gain[i], left = column[i] - mine * column[at]; // (I - K H) P H'
+        const double mine = gain[i], left = column[i] - mine * spread; // (I - K H) P H'
         double *row = p + i * nz;
         for (size_t j = i; j < nz; ++j)
             row[j] = row[j] - mine * column[j] - left * gain[j] + mine * reading * gain[j];
@@ -154,6 +156,8 @@ void Filter::step_on(double *z, double *covariance, double dt_s, const double *t
         std::copy_n(tracks + rows * (size_t)(at - START), rows, step.kept[at].data());
     step.kept[DT].data()[0] = dt_s;
     generated_run(&step.generated);
+    for (size_t i = 0; i < n; ++i)
+        acceleration[i] = (step.kept[AFTER].data()[n + i] - z[n + i]) / dt_s;
     std::copy_n(step.kept[AFTER].data(), nx, z);
 
     propagate(covariance, step.kept[JACOBIAN].data(), carried.data(), n);
@@ -169,14 +173,20 @@ void Filter::step_on(double *z, double *covariance, double dt_s, const double *t
     }
 }
 
-// A reading observes one entry of z, so the gain K is that column of P over the innovation's
-// variance.
+// A reading is of q + v dt + a dt^2 / 2, dt after its bundle's time, with the acceleration on the way
+// there, give or take what white acceleration makes of it meanwhile.
 void Filter::correct(double *z, double *covariance, size_t row) {
     const Sample &sample = history.sample(row);
-    const size_t nz = 3 * n, axis = (size_t)sample.axis;
-    const double reading = noise.reading.data()[axis];
-    const double innovation = sample.position - z[axis];
-    const double variance = covariance[axis * nz + axis] + reading;
+    const size_t nz = 3 * n, axis = (size_t)sample.axis, speed = n + axis;
+    const double dt_s = (double)(sample.time_us - history.time_us(row)) * 1e-6;
+    const double wander = noise.acceleration.data()[axis] * dt_s * dt_s * dt_s / 3;
+    const double reading = noise.reading.data()[axis] + wander;
+    for (size_t i = 0; i < nz; ++i)
+        column[i] = covariance[i * nz + axis] + dt_s * covariance[i * nz + speed];
+    const double way = dt_s * (z[speed] + dt_s / 2 * acceleration[axis]);
+    const double innovation = sample.position - z[axis] - way;
+    const double spread = column[axis] + dt_s * column[speed];
+    const double variance = spread + reading;
     const double nis = innovation * innovation / variance;
 
     int64_t *rejected = history.rejected(row);
@@ -184,11 +194,10 @@ void Filter::correct(double *z, double *covariance, size_t row) {
     rejected[axis] = nis > outliers.nis_max ? rejected[axis] + 1 : 0;
     if (rejected[axis] == 0) {
         for (size_t i = 0; i < nz; ++i) {
-            column[i] = covariance[i * nz + axis];
             gain[i] = column[i] / variance;
             z[i] += gain[i] * innovation;
         }
-        narrow(covariance, column.data(), gain.data(), reading, axis, nz);
+        narrow(covariance, column.data(), gain.data(), reading, spread, nz);
         mirror(covariance, nz);
     } else if (rejected[axis] % outliers.in_a_row == 0) {
         for (size_t i = 0; i < nz; ++i)
@@ -197,5 +206,6 @@ void Filter::correct(double *z, double *covariance, size_t row) {
     history.nis(row) = nis;
     std::copy_n(z, nz, history.z(row));
     std::copy_n(covariance, nz * nz, history.covariance(row));
+    std::copy_n(acceleration.data(), n, history.acceleration(row));
     history.fill(row);
 }

@@ -40,12 +40,13 @@ struct Statistics {
 
 class Filter {
   public:
-    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows);
+    // `rows`, `bundle_us`: see History.
+    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us);
 
     size_t axes() const { return n; }
     size_t track_rows() const; // at one time
 
-    // Times of the samples that are to be taken in, from that of the last known state, to now.
+    // Times of the bundles that are to be taken in, from that of the last known state, to now.
     std::vector<int64_t> times_to(int64_t now_us) const;
 
     // From the last known state through such steps, whose ends are those times: takes the samples
@@ -71,4 +72,5 @@ class Filter {
     Outliers outliers;
     size_t n;
     std::vector<double> carried, column, gain; // working memory: F P; P H'; K
+    std::vector<double> acceleration;          // in the last step, on average
 };

@@ -7,17 +7,19 @@ static bool before(const Sample &a, const Sample &b) {
     return std::make_pair(a.time_us, a.axis) < std::make_pair(b.time_us, b.axis);
 }
 
-History::History(size_t axes, size_t rows)
-    : n(axes), width(3 * axes + 9 * axes * axes + 1), room(rows), states(room * width),
-      outliers(room * axes) {
+History::History(size_t axes, size_t rows, int64_t bundle_us)
+    : n(axes), width(4 * axes + 9 * axes * axes + 1), room(rows), bundle_us(bundle_us),
+      states(room * width), outliers(room * axes) {
     samples.reserve(room);
 }
 
 void History::restart(int64_t time_us, const double *z_then, const double *covariance_then) {
     samples.assign(1, {time_us, -1, 0});
+    begun_us = time_us;
     begin = 0;
     std::copy_n(z_then, 3 * n, z(0));
     std::copy_n(covariance_then, 9 * n * n, covariance(0));
+    std::fill_n(acceleration(0), n, 0.0);
     std::fill_n(rejected(0), n, 0);
     fill(0);
 }
@@ -34,6 +36,11 @@ size_t History::insert(const std::vector<Sample> &more) {
     if (samples.size() > room)
         make_room();
     return samples.size() - filled_;
+}
+
+int64_t History::time_us(size_t row) const {
+    const int64_t at_us = samples[row].time_us;
+    return std::max(at_us - at_us % bundle_us, begun_us);
 }
 
 void History::forget(size_t row) {

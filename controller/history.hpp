@@ -15,7 +15,9 @@ struct Sample {
 // the filter was after them is many, and lies in a ring, where a row keeps its place.
 class History {
   public:
-    History(size_t axes, size_t rows); // room for so many at first
+    // Room for so many rows at first. Samples within `bundle_us` of each other, on a grid, count for
+    // one time: that of the grid before them.
+    History(size_t axes, size_t rows, int64_t bundle_us);
 
     // Forgets all; the filter at a time takes its place.
     void restart(int64_t time_us, const double *z, const double *covariance);
@@ -30,11 +32,13 @@ class History {
     size_t size() const { return samples.size(); }
     size_t filled() const { return filled_; } // rows whose state is known
     const Sample &sample(size_t row) const { return samples[row]; }
+    int64_t time_us(size_t row) const;         // that the row's state is of, not after its sample
     size_t first_since(int64_t time_us) const; // the first row that is not older
 
-    double *z(size_t row) { return &states[place(row) * width]; } // (3n)
-    double *covariance(size_t row) { return z(row) + 3 * n; }     // (3n, 3n)
-    double &nis(size_t row) { return z(row)[width - 1]; }         // normalized innovation squared
+    double *z(size_t row) { return &states[place(row) * width]; }           // (3n)
+    double *covariance(size_t row) { return z(row) + 3 * n; }               // (3n, 3n)
+    double *acceleration(size_t row) { return z(row) + 3 * n + 9 * n * n; } // on the way there (n)
+    double &nis(size_t row) { return z(row)[width - 1]; } // normalized innovation squared
     int64_t *rejected(size_t row) { return &outliers[place(row) * n]; } // in a row, by axis (n)
     void fill(size_t row) { filled_ = row + 1; }
 
@@ -43,6 +47,7 @@ class History {
     void make_room();
 
     size_t n, width, room, begin = 0, filled_ = 0;
+    int64_t bundle_us, begun_us = 0;
     std::vector<Sample> samples;
     std::vector<double> states;
     std::vector<int64_t> outliers;

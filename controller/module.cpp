@@ -119,13 +119,16 @@ static void bind_filter(nb::module_ &m) {
         .def(
             "__init__",
             [](Filter *self, Bound &step, Array acceleration, Array walk, Array reading,
-               Array start, double nis_max, int64_t in_a_row, size_t rows) {
-                new (self)
-                    Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row}, rows);
+               Array start, double nis_max, int64_t in_a_row, size_t rows, int64_t bundle_us) {
+                if (bundle_us < 1)
+                    throw std::invalid_argument("bundles of no length");
+                new (self) Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row},
+                                  rows, bundle_us);
             },
             "step"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a, "in_a_row"_a,
-            "rows"_a, nb::keep_alive<1, 2>(),
-            "rows: room for so many samples at first. Raises ValueError for arrays of other sizes "
+            "rows"_a, "bundle_us"_a, nb::keep_alive<1, 2>(),
+            "rows: room for so many samples at first; bundle_us: see Estimator. Raises ValueError "
+            "for arrays of other sizes "
             "than the step's.")
         .def(
             "reset",

@@ -15,6 +15,7 @@ from scipy import stats
 from headway.configs.load import load_config
 from headway.configs.schema import Estimator as EstimatorConfig
 from headway.controller.estimator import (
+    BUNDLE_US,
     REJECTED_IN_A_ROW,
     START_SIGMA,
     START_WALK_S,
@@ -203,13 +204,14 @@ class Swings:
 
 
 class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
-    """Steps as the machine does; the rest is filterpy's own."""
+    """Steps as the machine does, to where a sample's bundle is, and reads ahead from there; the rest
+    is filterpy's own."""
 
     def __init__(self, model: Prediction, config: EstimatorConfig, tracks: Swings) -> None:
         n = self._n = model.n
         super().__init__(dim_x=3 * n, dim_z=1)
         self._step, self._config, self._tracks = model.step, config, tracks
-        self._time_us, self._rows = START_US, [0] * n
+        self._time_us, self._rows, self._rate = START_US, [0] * n, np.zeros(n)
         position = tracks.at(np.array([START_US]))[0, :n]
         self.x = np.concatenate((position, np.zeros(2 * n)))  # of this shape, see docs/libraries.md
         walk = config.disturbance_noise_Nm_or_N_per_s05 * START_WALK_S**0.5
@@ -217,7 +219,9 @@ class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
         self.P = self._start
 
     def predict_x(self, u: object = 0) -> None:
-        values = self._step.run()
+        values, n = self._step.run(), self._n
+        dt = self._step.inputs[5][0, 0]
+        self._rate = (values[0][n:, 0] - self.x[n : 2 * n]) / dt
         self.x = np.concatenate((values[0][:, 0], self.x[2 * self._n :]))
         self.F = np.vstack((values[1], np.eye(3 * self._n)[2 * self._n :]))
 
@@ -242,18 +246,23 @@ class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
 
     def take(self, sample: Sample) -> bool:
         """Returns whether it was an outlier."""
-        self.carry(sample.time_us)
-        row = np.eye(3 * self._n)[sample.axis : sample.axis + 1]
-        variance = (self._config.measurement_noise_counts * PITCH) ** 2
+        bundle_us = max(sample.time_us // BUNDLE_US * BUNDLE_US, START_US)
+        self.carry(bundle_us)
+        dt, axes = (sample.time_us - bundle_us) * 1e-6, np.eye(3 * self._n)
+        row = (axes[sample.axis] + dt * axes[self._n + sample.axis])[None]
+        bend = self._rate[sample.axis] * dt**2 / 2
+        white = self._config.acceleration_noise_rad_or_m_per_s15**2
+        variance = (self._config.measurement_noise_counts * PITCH) ** 2 + white * dt**3 / 3
         spread = (row @ self.P @ row.T).item() + variance
-        if (sample.position - self.x[sample.axis]) ** 2 / spread > self._config.gate_sigma**2:
+        innovation = sample.position - (row @ self.x).item() - bend
+        if innovation**2 / spread > self._config.gate_sigma**2:
             self._rows[sample.axis] += 1
             if self._rows[sample.axis] % REJECTED_IN_A_ROW == 0:
                 self.P = self.P + self._start
             return True
         self._rows[sample.axis] = 0
         z = np.array([sample.position])
-        self.update(z, lambda _: row, lambda x: x[sample.axis : sample.axis + 1], R=variance)
+        self.update(z, lambda _: row, lambda x: row @ x + bend, R=variance)
         return False
 
 
