@@ -146,12 +146,12 @@ class Gains:
         shares = {core.TRACK_KP: share, core.TRACK_KI: share, core.TRACK_KD: damping}
         return np.hstack([shares[sink][:, self.driven] * self._top[sink] for sink in self.sinks])
 
-    def still(self, position: Array, count: int) -> list[Points]:
-        """By driven axis, `count` equal control points of the gains at a position (n,)."""
+    def still(self, position: Array, count: int) -> Points:
+        """By driven axis and sink, `count` equal control points of the gains at a position (n,)."""
         return self._by_axis(self.points(position[None]).repeat(count, axis=0))
 
-    def bounded(self, points: Array) -> list[Points]:
-        """By driven axis, control points that the gate takes.
+    def bounded(self, points: Array) -> Points:
+        """By driven axis and sink, control points that the gate takes.
 
         `points` (m, s w), as in `points`: the first three are committed. Where the others leave the
         gate's limits an axis' gains are drawn together towards the committed ones, which may
@@ -173,13 +173,9 @@ class Gains:
         together = np.tile(share.reshape(len(self.sinks), -1).min(axis=0), len(self.sinks))
         return self._by_axis(stay + together * (wanted - stay))
 
-    def _by_axis(self, points: Array) -> list[Points]:
-        n = len(self.limits)
-        rounded = np.rint(points).astype(np.int32)
-        return [
-            {sink: rounded[:, i * n + axis].copy() for i, sink in enumerate(self.sinks)}
-            for axis in range(n)
-        ]
+    def _by_axis(self, points: Array) -> Points:
+        shape = len(points), len(self.sinks), len(self.limits)
+        return np.rint(points).reshape(shape).transpose(2, 1, 0).astype(np.int32, order="C")
 
     def feedback(
         self, track: Callable[[int, int], core.Track], times_us: NDArray[np.int64]

@@ -288,8 +288,8 @@ class Loop:
         self._reference = reference
         self._ahead.follow(reference, self.start_us)
 
-    def _plan(self, tick: Tick, commit_knot: int) -> tuple[list[Points], Motion] | None:
-        """Points by axis, and their roll-out, if there is a plan."""
+    def _plan(self, tick: Tick, commit_knot: int) -> tuple[Points, Motion] | None:
+        """Points by driven axis and sink, and their roll-out, if there is a plan."""
         assert tick.commit is not None
         n = self._prediction.n
         state = tick.commit.state(n)
@@ -318,14 +318,13 @@ class Loop:
         knot, motion = self._last
         return motion.later(commit_knot - knot)
 
-    def _passes(self, now_us: int, points: list[Points], rolled: Motion, commit_knot: int) -> bool:
+    def _passes(self, now_us: int, points: Points, rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device, whose first refusal is noted; and a roll-out that is a
         motion."""
         if not _finite(rolled):
             return False
-        every = [plan[sink] for plan in points for sink in self._sinks]
         knot = commit_knot - 1
-        refusal = self._gate.refusal(knot, every, knot)
+        refusal = self._gate.refusal(knot, points, knot)
         if refusal is None:
             return True
         row, result = refusal
@@ -339,20 +338,21 @@ class Loop:
         first = knot + core.LIVE_KNOTS
         ends = [r.track(core.TRACK_POSITION).end for r in self._moved]
         count = max(3, min(max(ends) - first + 1, core.PLAN_POINTS_MAX))
-        points = [{s: r.track(s).points(first, count) for s in self._sinks} for r in self._moved]
-        return Outbox(first, points)
+        return Outbox(first, self._stored(first, count))
 
-    def _join(self, knot: int, commit_knot: int, points: list[Points]) -> Outbox:
+    def _stored(self, first_knot: int, count: int) -> Points:
+        """What is committed from a knot on."""
+        stored = self._gate.stored(first_knot, count)
+        return stored.reshape(len(self._moved), len(self._sinks), count)
+
+    def _join(self, knot: int, commit_knot: int, points: Points) -> Outbox:
         """The new points, from before the commit knot on, and committed ones before them that have
         not begun."""
         first = commit_knot - 1
         ahead = first - (knot + core.LIVE_KNOTS)
         if ahead > 0:
             first -= ahead
-            points = [
-                {s: np.concatenate((r.track(s).points(first, ahead), plan[s])) for s in self._sinks}
-                for r, plan in zip(self._moved, points, strict=True)
-            ]
+            points = np.concatenate((self._stored(first, ahead), points), axis=2)
         return Outbox(first, points, commit_knot * self._knot_us)
 
 

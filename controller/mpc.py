@@ -28,9 +28,9 @@ class Solution(NamedTuple):
     residual: float  # largest violation of a constraint, in parts of its tolerance
     stationarity: float  # the Lagrangian's largest slope, by a variable in SI; NaN: not known
     complementarity: float  # largest product of a multiplier and its constraint's distance; or NaN
-    # If its answer is to be used: points by axis, from the knot before the commit knot on, and what
-    # the servos make of them.
-    plan: tuple[list[Points], Motion] | None
+    # If its answer is to be used: points by driven axis and sink, from the knot before the commit
+    # knot on, and what the servos make of them.
+    plan: tuple[Points, Motion] | None
     # What the record cannot tell otherwise: the disturbance that the motion was linearized for and
     # the torque that the plan goes on from, each (n,).
     assumed: Array

@@ -19,7 +19,6 @@ from headway.controller.prediction import Prediction
 from headway.controller.record.reader import Run
 from headway.controller.reference import ENTRY_S, Entry, own_costs, task_reference
 from headway.controller.tracks import Encoder
-from headway.devices import core
 from headway.devices.axis import AxisUnits, whole_turns
 from headway.models.machine import load_machine
 
@@ -138,11 +137,11 @@ class Replay:
         first = int(arrays["commit_us"][tick]) // self._knot_us - 1
         points = [self._points(tick, axis, first, estimate[axis]) for axis in self._units]
         d = self.prediction.law.borne(estimate[2 * n :])
-        return self._encoder.roll(points, estimate[: 2 * n], d)
+        return self._encoder.roll(np.array(points), estimate[: 2 * n], d)
 
-    def _points(self, tick: int, axis: int, first: int, near: float) -> dict[int, Array]:
-        """That a tick's plan has of an axis, from knot `first` on, without bounds: from its frame,
-        and those that were under way already from the frames before it."""
+    def _points(self, tick: int, axis: int, first: int, near: float) -> tuple[Array, Array]:
+        """Of position and torque that a tick's plan has of an axis, from knot `first` on, without
+        bounds: from its frame, and those that were under way already from the frames before it."""
         arrays = self._arrays
         mine = arrays["sent_plan"] & (arrays["sent_device"] == axis)
         rows = np.flatnonzero(mine & (arrays["sent_us"] <= arrays["tick_sent_us"][tick]))
@@ -151,8 +150,8 @@ class Replay:
                 f"tick {tick}, whose plan comes before, was too late to send it: the record lacks "
                 "its points"
             )
-        points = {}
-        for sink, name in ((core.TRACK_POSITION, "position_pq"), (core.TRACK_TORQUE, "torque_tq")):
+        points = []
+        for name in ("position_pq", "torque_tq"):
             found = np.empty(0, dtype=np.int64)
             begins = first + self._horizon + 3  # of what is found
             for row in rows[::-1]:
@@ -166,11 +165,9 @@ class Replay:
                     begins = knot
             if begins > first:
                 raise ReplayError(f"the record lacks points of the plan before, of tick {tick}")
-            points[sink] = found[first - begins :].astype(np.int32)
-        return {
-            core.TRACK_POSITION: self._units[axis].unwrapped(points[core.TRACK_POSITION], near),
-            core.TRACK_TORQUE: points[core.TRACK_TORQUE].astype(np.float64),
-        }
+            points.append(found[first - begins :].astype(np.int32))
+        position, torque = points
+        return self._units[axis].unwrapped(position, near), torque.astype(np.float64)
 
     def _reference(self, tick: int) -> Array:
         """At the nodes, (2n, N+1)."""

@@ -199,19 +199,18 @@ class Start:
             medians.append(np.median(values[-50:]))
         return np.array(medians + self._rest)
 
-    def _still(self) -> list[Points]:
+    def _still(self) -> Points:
         """Points that stand still at the position, with the torque that holds it and the gains."""
+        still = np.ones(STILL_POINTS)
+        motion = [
+            (
+                self._units[axis].position_points(self.position[axis] * still),
+                self._units[axis].torque_points(self.torque[axis] * still),
+            )
+            for axis in self._driven
+        ]
         gains = self._gains.still(self.position, STILL_POINTS)
-
-        def points(axis: int, of_axis: Points) -> Points:
-            units, still = self._units[axis], np.ones(STILL_POINTS)
-            return {
-                core.TRACK_POSITION: units.position_points(self.position[axis] * still),
-                core.TRACK_TORQUE: units.torque_points(self.torque[axis] * still),
-                **of_axis,
-            }
-
-        return [points(axis, mine) for axis, mine in zip(self._driven, gains, strict=True)]
+        return np.concatenate((np.array(motion), gains), axis=1)
 
     def _check_started(self) -> None:
         for device in self._driven:

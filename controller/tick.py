@@ -36,7 +36,7 @@ class Outbox:
     """What a tick decided to send: stamps alone, or a plan until it is too late for it."""
 
     first_knot: int = 0
-    points: list[Points] | None = None
+    points: Points | None = None  # (driven axes, sinks, m)
     too_late_us: int = 2**62  # from then on its first new point is live
 
     def arriving_in(self, knot: int) -> Outbox:
@@ -45,10 +45,10 @@ class Outbox:
         the plan for them."""
         if self.points is None:
             return self
-        count = len(next(iter(self.points[0].values())))
-        begun = min(max(knot + LIVE_KNOTS - self.first_knot, 0), count - 3)  # three: its rest
-        points = [{sink: row[begun:] for sink, row in plan.items()} for plan in self.points]
-        return Outbox(self.first_knot + begun, points, self.too_late_us)
+        begun = min(knot + LIVE_KNOTS - self.first_knot, self.points.shape[2] - 3)  # its rest stays
+        if begun <= 0:
+            return self
+        return Outbox(self.first_knot + begun, self.points[:, :, begun:], self.too_late_us)
 
 
 @dataclass

@@ -102,7 +102,7 @@ class Encoder:
         }
         self._continuous = any(u.continuous for u in units)
         self._gain_fit = Fit(knots, POSITION_CURVATURE_WEIGHT)
-        self._gain_points: list[Points] = [{} for _ in units]
+        self._gain_points: Points = np.empty((len(units), len(gains.sinks), knots + 3), np.int32)
         library = compile_functions(
             "encoder", [_encode(n, driven, knots, self._h), _relieve(n, driven, knots)]
         )
@@ -123,9 +123,9 @@ class Encoder:
 
     def plan(
         self, motion: Motion, remotes: list[Remote], knot: int, start: Array, disturbance: Array
-    ) -> tuple[list[Points], Motion]:
+    ) -> tuple[Points, Motion]:
         """Encodes a motion that begins at knot `knot`, from state `start` (2n,) on; returns the
-        points from knot - 1 on, by axis, and their roll-out."""
+        points from knot - 1 on, by driven axis and sink, and their roll-out."""
         for name in ("position", "velocity", "torque"):
             self.pool[name][...] = getattr(motion, name).T
         self.commit(remotes, knot, motion.position, start, disturbance)
@@ -148,12 +148,11 @@ class Encoder:
             pool["feedback"][...] = feedback.T
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
 
-    def roll(self, points: list[dict[int, Array]], start: Array, disturbance: Array) -> Motion:
+    def roll(self, points: Array, start: Array, disturbance: Array) -> Motion:
         """What the servos, with the config's gains, make of control points (from a plan's first
-        on, by axis) from state `start` (2n,)."""
+        on, by driven axis and sink) from state `start` (2n,)."""
         r, f = (
-            np.array([of_axis[sink] for of_axis in points]) / self._scale[sink]
-            for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
+            points[:, sink] / self._scale[sink] for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
         )
         pool, h = self.pool, self._h
         pool["tracks"][...] = self._rows(
@@ -175,22 +174,19 @@ class Encoder:
         gains = np.repeat(self._law.feedback[:, None], columns, axis=1)
         return np.vstack((*rows, gains))
 
-    def points(self) -> list[Points]:
-        """Of the last encoding: control points by axis, the first three of each track the
-        committed ones."""
-        points: NDArray[Any] = self.pool["points"]
+    def points(self) -> Points:
+        """Of the last encoding: control points by driven axis and sink, the first three of each
+        track the committed ones."""
+        made: NDArray[Any] = self.pool["points"]
         if self._continuous:  # a position goes on from 2^31 at -2^31
-            points = points.astype(np.int64)
-        points = points.astype(np.int32, order="C")
-        width = len(self._driven)
-        return [
-            {
-                core.TRACK_POSITION: points[axis],
-                core.TRACK_TORQUE: points[width + axis],
-                **self._gain_points[axis],
-            }
-            for axis in range(width)
-        ]
+            made = made.astype(np.int64)
+        width, sinks = len(self._driven), 2 + len(self._gains.sinks)
+        points = np.empty((width, sinks, made.shape[1]), np.int32)
+        points[:, core.TRACK_POSITION] = made[:width]
+        points[:, core.TRACK_TORQUE] = made[width:]
+        if self._gains.sinks:
+            points[:, 2:] = self._gain_points
+        return points
 
     def rolled(self) -> Motion:
         """Of the last encoding: the motion that the servos make of it."""
@@ -206,11 +202,9 @@ class Encoder:
         free, and the largest torque in the roll-out past the committed points."""
         return self.pool["departed"][:, 0].copy(), self.pool["reached"][:, 0].copy()
 
-    def gain_points(self, position: Array, remotes: list[Remote], knot: int) -> list[Points]:
+    def gain_points(self, position: Array, remotes: list[Remote], knot: int) -> Points:
         """Control points of the gain tracks along positions (K+1, n), as `plan` has them."""
         sinks = self._gains.sinks
-        if not sinks:
-            return [{} for _ in remotes]
         committed = [r.track(sink).points(knot - 1, 3) for sink in sinks for r in remotes]
         wanted = self._gains.points(position)
         fit = self._gain_fit
@@ -219,7 +213,7 @@ class Encoder:
 
     def _gain_track(self, axis: int, sink: int) -> core.Track:
         track = core.Track()
-        track.write(0, self._gain_points[axis][sink])
+        track.write(0, self._gain_points[axis, self._gains.sinks.index(sink)])
         return track
 
 

@@ -30,10 +30,10 @@ class Holding:
         number: int,
         epoch: int,
         first_knot: int,
-        points: dict[int, Points],
+        points: Points,
     ) -> bytes:
-        """The payload of a plan, points by sink, which from now on is under way. Raises ValueError
-        for points that a frame cannot carry."""
+        """The payload of a plan, a row of points a sink, which from now on is under way. Raises
+        ValueError for points that a frame cannot carry."""
 
     def settle(self, status: Status, patience_us: int) -> None:
         """Settles those plans that a status has an answer for; one without an answer after
@@ -46,11 +46,12 @@ class Gate:
     """The gate, as on the devices, of several tracks."""
 
     def __init__(self, limits: Sequence[GateLimits], stored: Sequence[Track]) -> None: ...
-    def refusal(
-        self, first_knot: int, points: Sequence[Points], knot: int
-    ) -> tuple[int, int] | None:
-        """Of points from a knot on, a row a track, at a knot: the first row that it would not take,
-        and why, as in firmware/gate.h; None if it takes all."""
+    def refusal(self, first_knot: int, points: Points, knot: int) -> tuple[int, int] | None:
+        """Of points from a knot on (devices, sinks, m), a row a track, at a knot: the first row
+        that it would not take, and why, as in firmware/gate.h; None if it takes all."""
+
+    def stored(self, first_knot: int, count: int) -> Points:
+        """What the tracks have from a knot on (tracks, count)."""
 
 class Course:
     """What the devices execute, as far as the host knows, in SI."""

@@ -27,6 +27,8 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 using Points = nb::ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Rows = nb::ndarray<const int32_t, nb::ndim<2>, nb::device::cpu>; // each in one piece
+using Plans = nb::ndarray<const int32_t, nb::ndim<3>, nb::device::cpu>;
 using Instants = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Columns = nb::ndarray<double, nb::ndim<2>, nb::f_contig, nb::device::cpu>;
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
@@ -51,23 +53,23 @@ static auto unwrap(Points values, double near) {
 using Stamps = std::tuple<uint32_t, int64_t, int64_t>;
 using Mark = std::tuple<uint16_t, uint16_t, int64_t>; // number, width, least
 
+template <typename Array> static void in_pieces(const Array &rows) {
+    if (rows.stride(rows.ndim() - 1) != 1)
+        throw std::invalid_argument("each row of points is to be in one piece");
+}
+
 static nb::bytes send(Holding &holding, Stamps stamps_us, Mark m, uint32_t number, uint16_t epoch,
-                      int64_t first_knot, nb::dict points) {
+                      int64_t first_knot, Rows points) {
     Sent sent{std::get<2>(stamps_us), {}};
     plan &p = sent.plan;
+    const size_t sinks = points.shape(0), count = points.shape(1);
+    if (sinks > TRACK_COUNT || count < 3 || count > PLAN_POINTS_MAX)
+        throw std::invalid_argument("a plan has known sinks, all with the same 3 .. 128 points");
+    in_pieces(points);
     p.number = number, p.epoch = epoch, p.first_knot = first_knot;
-    for (auto [sink, of_sink] : points) {
-        int s = nb::cast<int>(sink);
-        auto values = nb::cast<Points>(of_sink);
-        size_t count = values.size();
-        if (s < 0 || s >= TRACK_COUNT || count < 3 || count > PLAN_POINTS_MAX ||
-            (p.count && p.count != count))
-            throw std::invalid_argument(
-                "a plan has known sinks, all with the same 3 .. 128 points");
-        p.tracks |= (uint8_t)(1 << s);
-        p.count = (uint8_t)count;
-        std::copy_n(values.data(), count, p.points[s]);
-    }
+    p.tracks = (uint8_t)((1 << sinks) - 1), p.count = (uint8_t)count;
+    for (size_t sink = 0; sink < sinks; ++sink)
+        std::copy_n(&points(sink, 0), count, p.points[sink]);
     stamps told{std::get<0>(stamps_us),
                 std::get<1>(stamps_us),
                 std::get<2>(stamps_us),
@@ -84,10 +86,11 @@ static void bind_holding(nb::module_ &m) {
     nb::class_<Holding>(m, "Holding", "The tracks that a device holds.")
         .def(nb::init<>())
         .def("forget", &Holding::forget, "A new epoch: the device drops its tracks.")
-        .def("send", &send, "stamps_us"_a, "mark"_a, "number"_a, "epoch"_a, "first_knot"_a,
-             "points"_a,
-             "The payload of a plan, points by sink, which from now on is under way. Raises "
-             "ValueError for points that a frame cannot carry.")
+        .def(
+            "send", &send, "stamps_us"_a, "mark"_a, "number"_a, "epoch"_a, "first_knot"_a,
+            "points"_a,
+            "The payload of a plan, a row of points a sink, which from now on is under way. Raises "
+            "ValueError for points that a frame cannot carry.")
         .def("settle", &Holding::settle, "status"_a, "patience_us"_a,
              "Settles those plans that a status has an answer for; one without an answer after "
              "`patience_us` counts as lost.")
@@ -112,19 +115,32 @@ struct Gate {
     std::vector<const track *> stored;
 };
 
-static std::optional<std::pair<size_t, int>>
-refusal(const Gate &gate, int64_t first_knot, const std::vector<Points> &points, int64_t knot) {
-    if (points.size() != gate.stored.size())
+static std::optional<std::pair<size_t, int>> refusal(const Gate &gate, int64_t first_knot,
+                                                     Plans points, int64_t knot) {
+    const size_t sinks = points.shape(1), count = points.shape(2);
+    if (points.shape(0) * sinks != gate.stored.size())
         throw std::invalid_argument("not as many rows of points as tracks");
-    for (size_t i = 0; i < points.size(); i++) {
-        if (points[i].size() < 3 || points[i].size() > PLAN_POINTS_MAX)
-            throw std::invalid_argument("a plan has 3 .. 128 points");
-        int result = gate_check_track(gate.limits[i], gate.stored[i], first_knot, points[i].data(),
-                                      (int32_t)points[i].size(), knot);
+    if (count < 3 || count > PLAN_POINTS_MAX)
+        throw std::invalid_argument("a plan has 3 .. 128 points");
+    in_pieces(points);
+    for (size_t i = 0; i < gate.stored.size(); i++) {
+        int result = gate_check_track(gate.limits[i], gate.stored[i], first_knot,
+                                      &points(i / sinks, i % sinks, 0), (int32_t)count, knot);
         if (result != GATE_ACCEPTED)
             return std::pair{i, result};
     }
     return std::nullopt;
+}
+
+static auto stored(const Gate &gate, int64_t first_knot, size_t count) {
+    auto *owned = new std::vector<int32_t>;
+    nb::capsule owner(owned,
+                      [](void *p) noexcept { delete static_cast<std::vector<int32_t> *>(p); });
+    for (const track *each : gate.stored)
+        for (size_t i = 0; i < count; i++)
+            owned->push_back(track_point(each, first_knot + (int64_t)i));
+    return nb::ndarray<nb::numpy, int32_t, nb::ndim<2>>(owned->data(), {gate.stored.size(), count},
+                                                        owner);
 }
 
 static void bind_gate(nb::module_ &m) {
@@ -144,8 +160,10 @@ static void bind_gate(nb::module_ &m) {
             },
             "limits"_a, "stored"_a)
         .def("refusal", &refusal, "first_knot"_a, "points"_a, "knot"_a,
-             "Of points from a knot on, a row a track, at a knot: the first row that it would not "
-             "take, and why, as in firmware/gate.h; None if it takes all.");
+             "Of points from a knot on (devices, sinks, m), a row a track, at a knot: the first "
+             "row that it would not take, and why, as in firmware/gate.h; None if it takes all.")
+        .def("stored", &stored, "first_knot"_a, "count"_a,
+             "What the tracks have from a knot on (tracks, count).");
 }
 
 // A course with the tracks that it reads.

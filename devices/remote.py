@@ -24,7 +24,9 @@ from headway.devices.signals import Signals
 from headway.firmware import _core
 
 GAIN_SINKS = (_core.TRACK_KP, _core.TRACK_KI, _core.TRACK_KD)
-Points = dict[int, NDArray[np.int32]]
+# Control points of a device's tracks (sinks, m), position and torque first; of those of several
+# devices, which a plan has, there is one array (devices, sinks, m).
+Points = NDArray[np.int32]
 
 
 @dataclass(frozen=True)

@@ -204,8 +204,8 @@ class Swings:
 
 
 class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
-    """Steps as the machine does, to where a sample's bundle is, and reads ahead from there; the rest
-    is filterpy's own."""
+    """Steps as the machine does, to where a sample's bundle is, and reads ahead from there; the
+    rest is filterpy's own."""
 
     def __init__(self, model: Prediction, config: EstimatorConfig, tracks: Swings) -> None:
         n = self._n = model.n

@@ -236,17 +236,17 @@ class Held:
     """A device as far as the encoder asks: its tracks."""
 
     def __init__(self, axis: int, position: Array, mode: str) -> None:
-        still = gains(mode).still(position, 40)[axis]
-        still[core.TRACK_POSITION] = UNITS[axis].position_points(np.full(40, position[axis]))
-        still[core.TRACK_TORQUE] = np.zeros(40, dtype=np.int32)
-        self._tracks = {sink: core.Track() for sink in still}
-        self.write(-20, still)
+        place = UNITS[axis].position_points(np.full(40, position[axis]))
+        self._tracks = [core.Track() for _ in range(5)]
+        self._tracks[core.TRACK_POSITION].write(-20, place)
+        self._tracks[core.TRACK_TORQUE].write(-20, np.zeros(40, dtype=np.int32))
+        self.write(-20, gains(mode).still(position, 40)[axis])
 
     def track(self, sink: int) -> core.Track:
         return self._tracks[sink]
 
     def write(self, first: int, points: Points) -> None:
-        for sink, values in points.items():
+        for sink, values in zip(GAINS, points, strict=True):
             self._tracks[sink].write(first, values)
 
 
@@ -284,21 +284,21 @@ def test_gain_tracks_continue_rest_at_the_end_and_pass_the_gate(
     for knot, motion in enumerate(plans):
         points = encoder(mode).gain_points(motion.position, remotes, knot)
         for remote, plan, settings_, axis in zip(remotes, points, LIMITS, AXES, strict=True):
-            assert sorted(plan) == sorted(GAINS)
-            for sink, scale in zip(
+            for sink, row, scale in zip(
                 GAINS,
+                plan,
                 (settings_.servo.kp_tq, settings_.servo.ki_tq, settings_.servo.kd_tq),
                 strict=True,
             ):
                 track, limits = remote.track(sink), settings_.limits(sink)
-                assert plan[sink][:3].tobytes() == track.points(knot - 1, 3).tobytes()
-                assert len(set(plan[sink][-3:].tolist())) == 1
-                result = core.gate_check_track(limits, track, knot - 1, plan[sink], knot - 1)
+                assert row[:3].tobytes() == track.points(knot - 1, 3).tobytes()
+                assert len(set(row[-3:].tolist())) == 1
+                result = core.gate_check_track(limits, track, knot - 1, row, knot - 1)
                 assert result == "accepted", (axis.joint, sink)
-                mantissa = value(plan[sink]) / 256
+                mantissa = value(row) / 256
                 assert mantissa.min() >= 0 and mantissa.max() <= scale.mantissa * (1 + 1e-12)
                 if mode == "fixed":
-                    assert np.all(plan[sink] == scale.mantissa * 256)
+                    assert np.all(row == scale.mantissa * 256)
             remote.write(knot - 1, plan)
 
 
@@ -311,11 +311,11 @@ def test_smooth_gain_tracks_say_the_schedule_and_take_two_bytes_a_point() -> Non
         wanted = by_sink(gains("scheduled").points(motion.position))
         points = encoder("scheduled").gain_points(motion.position, remotes, knot)
         for axis, plan in enumerate(points):
-            for sink in GAINS:
-                at_knots = np.convolve(plan[sink], [1 / 6, 4 / 6, 1 / 6], "valid")
+            for sink, row in zip(GAINS, plan, strict=True):
+                at_knots = np.convolve(row, [1 / 6, 4 / 6, 1 / 6], "valid")
                 error = np.abs(at_knots - wanted[sink][:, axis])[5:-10]
                 assert error.max() < 0.02 * LIMITS[axis].limits(sink).point_max
-            frame = core_bytes(plan)
+            frame = core_bytes(dict(zip(GAINS, plan, strict=True)))
             assert frame <= 50 + 3 * 2.3 * (HORIZON + 3)
             remotes[axis].write(knot - 1, plan)
 
@@ -324,7 +324,7 @@ def by_sink(points: Array) -> dict[int, Array]:
     return dict(zip(GAINS, np.hsplit(points, 3), strict=True))
 
 
-def core_bytes(points: Points) -> int:
+def core_bytes(points: dict[int, NDArray[np.int32]]) -> int:
     from headway.firmware import _core
 
     return len(_core.plan_encode((0, 0, 0), 1, 0, 0, points))
@@ -390,7 +390,7 @@ def test_a_roll_out_follows_gains_that_vary() -> None:
         for axis in range(2)
     ]
     knots = np.arange(HORIZON + 7) - 3.0
-    splines = [{k: BSpline(knots, p[k].astype(float), 3) for k in p} for p in points]
+    splines = [[BSpline(knots, row.astype(float), 3) for row in p] for p in points]
     assert all(np.ptp(p[core.TRACK_KP]) * factor[a][core.TRACK_KP] > 0.1 * law.kp[a]
                for a, p in enumerate(points))  # fmt: skip
 

@@ -80,7 +80,7 @@ def test_a_device_is_taken_to_hold_what_it_told(
         if act == "send":
             told.number += 1
             points, first = rng.integers(-1000, 1000, b).tolist(), told.number + a
-            rows = {POSITION: np.array(points, np.int32), TORQUE: np.array(points, np.int32) * 3}
+            rows = np.array([points, [3 * point for point in points]], np.int32)
             holding.send((0, 0, now_us), NO_MARK, told.number, 1, first, rows)
             told.pending.append((told.number, now_us, first, points))
         elif act == "settle":
@@ -103,18 +103,22 @@ def test_a_device_is_taken_to_hold_what_it_told(
 
 
 def test_a_plan_is_sealed_as_the_codec_has_it() -> None:
-    rows = {POSITION: np.arange(5, dtype=np.int32), TORQUE: np.arange(5, dtype=np.int32) ** 2}
+    rows = np.array([np.arange(5), np.arange(5) ** 2], np.int32)
     stamps = 5, 6, 7
     payload = Holding().send(stamps, (1, 2, 3), 9, 4, 100, rows)
-    assert payload == _core.plan_encode(stamps, 9, 4, 100, rows, (1, 2, 3))
+    by_sink = {POSITION: rows[0].copy(), TORQUE: rows[1].copy()}
+    assert payload == _core.plan_encode(stamps, 9, 4, 100, by_sink, (1, 2, 3))
+    later = Holding().send(stamps, (1, 2, 3), 9, 4, 102, np.zeros((2, 9), np.int32)[:, 4:])
+    assert later == Holding().send(stamps, (1, 2, 3), 9, 4, 102, np.zeros((2, 5), np.int32))
 
 
-@pytest.mark.parametrize("rows", [{7: [0, 0, 0]}, {0: [0, 0]}, {0: [1] * 4, 1: [1] * 3}])
-def test_what_is_no_plan_is_not_taken_to_be_under_way(rows: dict[int, list[int]]) -> None:
+@pytest.mark.parametrize("shape", [(6, 3), (1, 2), (2, 129)])
+def test_what_is_no_plan_is_not_taken_to_be_under_way(shape: tuple[int, int]) -> None:
     holding = Holding()
-    arrays = {sink: np.array(row, dtype=np.int32) for sink, row in rows.items()}
     with pytest.raises(ValueError, match="known sinks"):
-        holding.send((0, 0, 0), NO_MARK, 1, 1, 10, arrays)
+        holding.send((0, 0, 0), NO_MARK, 1, 1, 10, np.zeros(shape, np.int32))
+    with pytest.raises(ValueError, match="in one piece"):
+        holding.send((0, 0, 0), NO_MARK, 1, 1, 10, np.zeros((2, 8), np.int32)[:, ::2])
     assert not holding.track(0).written and holding.waiting_since_us > 2**62
 
 
@@ -139,7 +143,9 @@ def test_the_gate_of_several_takes_what_each_takes(seed: int, odd: int, step: in
         for *given_, row in zip(limits, stored, points, strict=True)
     ]
     first = next(((i, result) for i, result in enumerate(results) if result), None)
-    assert Gate(limits, stored).refusal(4, points, 4) == first
+    gate = Gate(limits, stored)
+    assert gate.refusal(4, np.array(points)[:, None], 4) == first
+    assert np.array_equal(gate.stored(2, 9), [track.points(2, 9) for track in stored])
 
 
 @given(st.integers(0, 2**32), st.booleans(), st.floats(-1e3, 1e3))
