@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.controller.estimator import Tracks
 from headway.controller.sample import Sample
 from headway.models._generated import Bound
 
@@ -112,13 +113,13 @@ class Tick:
     def prepare(self) -> None: ...
     def feedback(self) -> Feedback: ...
 
-def steps(times_us: list[int], longest_us: int) -> Indices:
-    """Start, middle and end (m, 3) of steps from time to time, as many between two as keep them
-    short; at least one."""
+def finite(rows: Array) -> bool:
+    """Whether all of them (m, n) are: numpy takes six times as long."""
 
 class Filter:
     """An extended Kalman filter over z = [q, v, d], with the samples that it has taken in."""
 
+    taken: int
     accepted: int
     outliers: int
     nis_sum: float
@@ -134,32 +135,26 @@ class Filter:
         in_a_row: int,
         rows: int,
         bundle_us: int,
+        step_us: int,
     ) -> None:
-        """`rows`: room for so many samples at first; `bundle_us`: see Estimator. Raises ValueError
-        for arrays of other sizes than the step's."""
+        """`rows`: room for so many samples at first; `bundle_us`, `step_us`: the longest bundle and
+        step. Raises ValueError for arrays of other sizes than the step's."""
 
     def reset(self, time_us: int, z: Array, covariance: Array) -> None:
         """Forgets all samples."""
 
-    def insert(self, samples: list[Sample]) -> int:
-        """Takes samples, but for known ones and those older than all that is remembered. Returns
-        how many are to be taken in, with those that are later than a new one."""
-
-    def due(self, now_us: int, longest_us: int) -> Indices:
-        """The steps (m, 3) that `update` is to go."""
-
-    @property
-    def position(self) -> Array:
-        """Where the axes were (n,) where `update` begins."""
-
-    def update(self, times_us: Indices, tracks: Array) -> tuple[Array, Array]:
-        """Goes the steps that are due along `tracks` (3m, 5n), takes samples in and returns z and
-        its covariance. Raises ValueError for other sizes."""
+    def update(
+        self, samples: list[Sample], now_us: int, tracks: Tracks
+    ) -> tuple[Array, Array, Array]:
+        """Takes samples in, but for known ones and those older than all that is remembered, and
+        with them those that are later than a new one. Returns z and its covariance then, and the
+        tracks there. Raises ValueError for tracks of another size."""
 
     def predict(
-        self, z: Array, covariance: Array, times_us: Indices, tracks: Array
-    ) -> tuple[Array, Array]:
-        """The two carried through steps (m, 3). Raises ValueError for other sizes."""
+        self, z: Array, covariance: Array, times_us: list[int], tracks: Tracks
+    ) -> tuple[Array, Array, Array]:
+        """The two carried through times, and the tracks there. Raises ValueError for other
+        sizes."""
 
     def forget(self, before_us: int) -> None:
         """Forgets the samples before the last one that is older than a time: they enter the

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from headway.configs.schema import Estimator as EstimatorConfig
 from headway.configs.section import by_axis
-from headway.controller._tick import Filter, steps
+from headway.controller._tick import Filter
 from headway.controller.prediction import Prediction
 from headway.controller.sample import Sample
 
@@ -38,7 +38,8 @@ START_WALK_S = 0.2  # of the disturbance's random walk: what is known of it at a
 
 
 class Tracks(Protocol):
-    """What the devices execute, as far as the host knows."""
+    """What the devices execute, as far as the host knows. A compiled `Along` is asked without a
+    detour through Python."""
 
     def at(self, times_us: Times, near: Array) -> Array:
         """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
@@ -83,8 +84,8 @@ class Estimator:
         self._start_covariance = np.diag(start)
         step = prediction.call("step").bound  # with arrays of its own
         outlier = config.gate_sigma**2, REJECTED_IN_A_ROW
-        self._filter = Filter(step, acceleration, walk, reading, start, *outlier, ROWS, BUNDLE_US)
-        self.replayed = 0
+        spans = ROWS, BUNDLE_US, STEP_MAX_US
+        self._filter = Filter(step, acceleration, walk, reading, start, *outlier, *spans)
 
     def reset(self, time_us: int, position: Array) -> None:
         """Starts at rest at a known position; all history is forgotten."""
@@ -93,20 +94,20 @@ class Estimator:
 
     def update(self, samples: list[Sample], now_us: int, tracks: Tracks) -> Estimate:
         """The state at `now_us` given all samples so far, these included."""
-        kalman = self._filter
-        self.replayed += kalman.insert(samples)
-        times_us = kalman.due(now_us, STEP_MAX_US)
-        along = tracks.at(times_us.ravel(), kalman.position)
-        z, covariance = kalman.update(times_us, along)
-        kalman.forget(now_us - HISTORY_US)
-        return Estimate(now_us, z, covariance, along[-1])
+        estimate = Estimate(now_us, *self._filter.update(samples, now_us, tracks))
+        self._filter.forget(now_us - HISTORY_US)
+        return estimate
 
     def predict(self, estimate: Estimate, times_us: list[int], tracks: Tracks) -> Estimate:
         """The estimate carried along the tracks through `times_us` to the last of them."""
-        through_us = steps([estimate.time_us, *times_us], STEP_MAX_US)
-        along = tracks.at(through_us.ravel(), estimate.z[: self._n])
-        z, covariance = self._filter.predict(estimate.z, estimate.covariance, through_us, along)
-        return Estimate(times_us[-1], z, covariance, along[-1])
+        through_us = [estimate.time_us, *times_us]
+        ahead = self._filter.predict(estimate.z, estimate.covariance, through_us, tracks)
+        return Estimate(times_us[-1], *ahead)
+
+    @property
+    def replayed(self) -> int:
+        """Samples taken in, with those that were taken in anew after a late one."""
+        return self._filter.taken
 
     @property
     def accepted(self) -> int:

@@ -32,10 +32,11 @@ std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t
     return steps;
 }
 
-Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us)
-    : history(noise.reading.size(), rows, bundle_us), step(step), noise(std::move(noise)),
-      outliers(outliers), n(this->noise.reading.size()), carried(6 * n * n), column(3 * n),
-      gain(3 * n), acceleration(n) {
+Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
+               int64_t step_us)
+    : history(noise.reading.size(), rows, bundle_us), step_us(step_us), step(step),
+      noise(std::move(noise)), outliers(outliers), n(this->noise.reading.size()),
+      carried(6 * n * n), column(3 * n), gain(3 * n), acceleration(n) {
     if (step.kept.size() != ARRAYS || step.kept[D].size() != n)
         throw std::invalid_argument("not a step of as many axes");
     if (this->noise.acceleration.size() != n || this->noise.walk.size() != n ||

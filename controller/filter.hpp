@@ -36,12 +36,14 @@ struct Outliers {
 struct Statistics {
     int64_t accepted = 0, outliers = 0;
     double nis_sum = 0; // of those accepted
+    int64_t taken = 0;  // rows filled in, with those that were known before a late sample
 };
 
 class Filter {
   public:
-    // `rows`, `bundle_us`: see History.
-    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us);
+    // `rows`, `bundle_us`: see History; `step_us`: the longest step.
+    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
+           int64_t step_us);
 
     size_t axes() const { return n; }
     size_t track_rows() const; // at one time
@@ -61,6 +63,7 @@ class Filter {
 
     History history;
     Statistics statistics;
+    const int64_t step_us;
 
   private:
     void step_on(double *z, double *covariance, double dt_s, const double *tracks);

@@ -18,7 +18,7 @@ Multivariable Feedback Design, 1989, section 4.2.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from headway.configs.schema import Config
 from headway.controller.prediction import ServoLaw
 from headway.devices import core
+from headway.devices._tracks import Course
 from headway.devices.axis import (
-    GAIN_BITS,
     AxisUnits,
     gain_factors,
     gain_limits,
@@ -41,8 +41,6 @@ from headway.models.envelope import postures
 from headway.models.machine import Machine
 
 Array = NDArray[np.float64]
-
-MANTISSA_MAX = 65535
 
 
 class Schedule:
@@ -102,7 +100,6 @@ class Gains:
         axes = list(config.machine.driven.values())
         self._law, self._shift = ServoLaw.of(every_axis), loop.knot_shift
         self.axes, self.driven = len(every_axis), self._law.driven
-        self.configured = self._law.feedback  # [Kp, Kd + c] (2n)
         self.sinks: tuple[int, ...] = () if loop.gains == "off" else GAIN_SINKS
         units = [AxisUnits.of(axis, loop) for axis in axes]
         self.limits = [gain_limits(axis, device, u) for axis, u in zip(axes, units, strict=True)]
@@ -177,23 +174,24 @@ class Gains:
         shape = len(points), len(self.sinks), len(self.limits)
         return np.rint(points).reshape(shape).transpose(2, 1, 0).astype(np.int32, order="C")
 
-    def feedback(
-        self, track: Callable[[int, int], core.Track], times_us: NDArray[np.int64]
-    ) -> Array:
-        """[Kp, Kd + c] at times (m,) as the devices evaluate them: (m, 2n).
-
-        `track` gives the track of a driven axis, by its place among those, and of a sink.
-        """
-        n, driven = len(self._law.kp), self.driven
-        if not self.sinks:
-            return np.broadcast_to(self.configured, (len(times_us), 2 * n))
-        values = self.configured[None].repeat(len(times_us), axis=0)
-        sinks, width = (core.TRACK_KP, core.TRACK_KD), len(driven)
-        tracks = [track(i, sink) for sink in sinks for i in range(width)]
-        points = np.empty((len(times_us), 2 * width))
-        core.evaluate_tracks(tracks, times_us, self._shift, points)
-        mantissa = np.clip(points.astype(np.int64) >> GAIN_BITS, 0, MANTISSA_MAX)
-        gains = mantissa * np.concatenate([self._per_mantissa[sink] for sink in sinks])
-        values[:, driven] = gains[:, :width]
-        values[:, [n + axis for axis in driven]] = gains[:, width:] + self._law.emf[driven]
-        return values
+    def course(self, tracks: Sequence[Sequence[core.Track]], units: list[AxisUnits]) -> Course:
+        """What devices with such tracks execute; `tracks` has a row of them, by sink, for each
+        driven axis, as `units` are."""
+        by_sink = list(zip(*tracks, strict=True))
+        kp, kd = ([*by_sink[s]] if self.sinks else [] for s in (core.TRACK_KP, core.TRACK_KD))
+        some = self.driven if self.sinks else []
+        return Course(
+            self.driven,
+            [*by_sink[core.TRACK_POSITION]],
+            [*by_sink[core.TRACK_TORQUE]],
+            [u.pq_per_unit for u in units],
+            [u.tq_per_effort for u in units],
+            [u.continuous for u in units],
+            self._shift,
+            np.concatenate((np.zeros(3 * self.axes), self._law.feedback)),
+            kp,
+            kd,
+            self._per_mantissa[core.TRACK_KP][: len(some)],
+            self._per_mantissa[core.TRACK_KD][: len(some)],
+            self._law.emf[some],
+        )

@@ -13,11 +13,14 @@ from __future__ import annotations
 
 import math
 import time
+from itertools import chain
+from operator import contains
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.configs.schema import Config
+from headway.controller._tick import finite
 from headway.controller.ahead import Ahead
 from headway.controller.estimator import Estimate, Estimator
 from headway.controller.feedforward import Feedforward
@@ -31,7 +34,7 @@ from headway.controller.reference import ENTRY_S, Entry, Reference, own_costs
 from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
-from headway.controller.tracks import Commitment, Encoder
+from headway.controller.tracks import Encoder
 from headway.devices import core
 from headway.devices._tracks import Gate
 from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
@@ -101,10 +104,11 @@ class Loop:
         self._sinks = (core.TRACK_POSITION, core.TRACK_TORQUE, *gains.sinks)
         for limits, more in zip(self._limits, gains.limits, strict=True):
             limits.update(more)
-        tracks = [remote.track(sink) for remote in self._moved for sink in self._sinks]
+        tracks = [[remote.track(sink) for sink in self._sinks] for remote in self._moved]
         bounds = [limits[sink] for limits in self._limits for sink in self._sinks]
-        self._gate = Gate(bounds, tracks)  # every track's, axis by axis
-        self._commitment = Commitment(self._moved, moved_units, gains, config.loop)
+        self._tracks = list(chain.from_iterable(tracks))  # every one, axis by axis
+        self._gate = Gate(bounds, self._tracks)
+        self._committed = gains.course(tracks, moved_units)
         self._encoder = Encoder(self._prediction, moved_units, gains, config.loop)
         costs = own_costs(reference, machine)
         self._mpc: Mpc | None = None
@@ -210,24 +214,23 @@ class Loop:
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
         # A clock that is ahead by more than its frame was under way stamps what is yet to come.
-        due, early = self.samples[:], [each for each in self.samples if each.time_us > now_us]
+        due, early = self.samples, [each for each in self.samples if each.time_us > now_us]
         if early:
             due = [sample for sample in due if sample.time_us <= now_us]
-        self.samples[:] = early
-        now = self.estimator.update(due, now_us, self._commitment)
+        self.samples = early
+        now = self.estimator.update(due, now_us, self._committed)
         if not all(map(math.isfinite, now.z.tolist())):
             raise DeviceError(
                 "the estimated state has diverged: `headway check` says whether a joint is too "
                 "stiff to be predicted"
             )
         knots = [(knot + i) * self._knot_us for i in range(1, self._margin + 1)]
-        return now, self.estimator.predict(now, knots, self._commitment)
+        return now, self.estimator.predict(now, knots, self._committed)
 
     def _check_devices(self, tick: Tick) -> None:
         """A device that no longer executes plans ends the run; the others, who get no new ones,
         come to rest together."""
-        boards = zip(tick.states, self._fit, strict=True)
-        if all(state in fit for state, fit in boards):
+        if all(map(contains, self._fit, tick.states)):
             return
         axes = zip(self._boards, self._units, self._remotes, self._fit, strict=True)
         stopped = [
@@ -260,7 +263,7 @@ class Loop:
         n, guess = self._prediction.n, self._guess(commit_knot)
         state, d = commit.state(n), self._disturbance
         old = self._encoder.plan(guess, self._moved, commit_knot, state, d)
-        if _finite(old[1]):
+        if finite(old[1].rows):
             self._last = (commit_knot, old[1])
 
     def _enter_anew(self, commit: Estimate, commit_knot: int) -> None:
@@ -321,7 +324,7 @@ class Loop:
     def _passes(self, now_us: int, points: Points, rolled: Motion, commit_knot: int) -> bool:
         """The same gate as on the device, whose first refusal is noted; and a roll-out that is a
         motion."""
-        if not _finite(rolled):
+        if not finite(rolled.rows):
             return False
         knot = commit_knot - 1
         refusal = self._gate.refusal(knot, points, knot)
@@ -342,7 +345,7 @@ class Loop:
 
     def _stored(self, first_knot: int, count: int) -> Points:
         """What is committed from a knot on."""
-        stored = self._gate.stored(first_knot, count)
+        stored = core.track_points(self._tracks, first_knot, count)
         return stored.reshape(len(self._moved), len(self._sinks), count)
 
     def _join(self, knot: int, commit_knot: int, points: Points) -> Outbox:
@@ -354,7 +357,3 @@ class Loop:
             first -= ahead
             points = np.concatenate((self._stored(first, ahead), points), axis=2)
         return Outbox(first, points, commit_knot * self._knot_us)
-
-
-def _finite(motion: Motion) -> bool:
-    return bool(np.isfinite(motion.rows).all())

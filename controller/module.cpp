@@ -7,8 +7,10 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 
+#include "along.hpp"
 #include "filter.hpp"
 #include "hpipm.hpp"
 #include "osqp.hpp"
@@ -37,8 +39,8 @@ struct Stranger : Solver {
     nb::callable answer_;
 };
 
-using Times = nb::ndarray<const int64_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Rows = nb::ndarray<const double, nb::ndim<2>, nb::device::cpu>;
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Square = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
@@ -55,23 +57,45 @@ static auto vector(std::vector<double> &&values) {
     return nb::ndarray<nb::numpy, double, nb::ndim<1>>(owned->data(), {owned->size()}, owner);
 }
 
-static auto steps(const std::vector<int64_t> &times_us, int64_t longest_us) {
-    std::vector<int64_t> made = steps_through(times_us, longest_us);
-    size_t count = made.size() / 3;
-    return array(std::move(made), count, 3);
-}
+// Steps through times, and the tracks at their starts, middles and ends.
+struct Way {
+    // `tracks`: what knows the tracks without Python, or has a method `at` as that has.
+    Way(const Filter &filter, std::vector<int64_t> through_us, const double *near,
+        nb::object tracks)
+        : width(filter.track_rows()), times_us(std::move(through_us)),
+          rows(times_us.size() * width) {
+        const Along *along;
+        if (!nb::try_cast(tracks, along))
+            ask(filter, near, tracks);
+        else if (along->width() == width)
+            along->at(times_us.data(), times_us.size(), near, rows.data());
+        else
+            throw std::invalid_argument("tracks of another size than the steps");
+    }
+    Steps steps() const { return {times_us.size() / 3, times_us.data(), rows.data()}; }
+    std::vector<double> last() const { return {rows.end() - (std::ptrdiff_t)width, rows.end()}; }
 
-// Steps of a size that fits the filter.
-static Steps along(const Filter &filter, const Times &times_us, const Table &tracks) {
-    size_t count = times_us.shape(0);
-    if (count == 0 || tracks.shape(0) != 3 * count || tracks.shape(1) != filter.track_rows())
-        throw std::invalid_argument("tracks of another size than the steps");
-    return {count, times_us.data(), tracks.data()};
-}
+  private:
+    void ask(const Filter &filter, const double *near, const nb::object &tracks) {
+        auto begin = vector(std::vector<double>(near, near + filter.axes()));
+        nb::list times;
+        for (int64_t time_us : times_us)
+            times.append(time_us);
+        auto table = nb::cast<Table>(tracks.attr("at")(times, begin));
+        if (table.shape(0) != times_us.size() || table.shape(1) != width)
+            throw std::invalid_argument("tracks of another size than the steps");
+        std::copy_n(table.data(), rows.size(), rows.data());
+    }
 
-static nb::tuple told(std::vector<double> &&z, std::vector<double> &&covariance) {
+    size_t width;
+    std::vector<int64_t> times_us;
+    std::vector<double> rows;
+};
+
+static nb::tuple told(std::vector<double> &&z, std::vector<double> &&covariance, const Way &way) {
     size_t n = z.size();
-    return nb::make_tuple(vector(std::move(z)), array(std::move(covariance), n, n));
+    return nb::make_tuple(vector(std::move(z)), array(std::move(covariance), n, n),
+                          vector(way.last()));
 }
 
 static void check(const Filter &filter, const Vector &z, const Square &covariance) {
@@ -80,7 +104,7 @@ static void check(const Filter &filter, const Vector &z, const Square &covarianc
         throw std::invalid_argument("a state of another size than the filter's");
 }
 
-static size_t insert(Filter &filter, const nb::list &samples) {
+static void insert(Filter &filter, const nb::list &samples) {
     std::vector<Sample> heard;
     heard.reserve(samples.size());
     for (nb::handle each : samples) {
@@ -90,46 +114,54 @@ static size_t insert(Filter &filter, const nb::list &samples) {
         if (heard.back().axis < 0 || heard.back().axis >= (int64_t)filter.axes())
             throw std::invalid_argument("a sample of an axis that there is not");
     }
-    return filter.history.insert(heard);
+    filter.statistics.taken += (int64_t)filter.history.insert(heard);
 }
 
-static nb::tuple update(Filter &filter, const Times &times_us, const Table &tracks) {
-    Steps steps = along(filter, times_us, tracks);
+static nb::tuple update(Filter &filter, const nb::list &samples, int64_t now_us,
+                        const nb::object &tracks) {
+    insert(filter, samples);
+    const double *begin = filter.history.z(filter.history.filled() - 1);
+    Way way(filter, steps_through(filter.times_to(now_us), filter.step_us), begin, tracks);
     size_t n = 3 * filter.axes();
     std::vector<double> z(n), covariance(n * n);
-    filter.update(z.data(), covariance.data(), steps);
-    return told(std::move(z), std::move(covariance));
+    filter.update(z.data(), covariance.data(), way.steps());
+    return told(std::move(z), std::move(covariance), way);
 }
 
 static nb::tuple predict(Filter &filter, const Vector &z, const Square &covariance,
-                         const Times &times_us, const Table &tracks) {
+                         const std::vector<int64_t> &times_us, const nb::object &tracks) {
     check(filter, z, covariance);
-    Steps steps = along(filter, times_us, tracks);
+    Way way(filter, steps_through(times_us, filter.step_us), z.data(), tracks);
     std::vector<double> state(z.data(), z.data() + z.size());
     std::vector<double> spread(covariance.data(), covariance.data() + covariance.size());
-    filter.predict(state.data(), spread.data(), steps);
-    return told(std::move(state), std::move(spread));
+    filter.predict(state.data(), spread.data(), way.steps());
+    return told(std::move(state), std::move(spread), way);
+}
+
+static bool all_finite(const Rows &rows) {
+    for (size_t i = 0; i < rows.shape(0); ++i)
+        for (size_t j = 0; j < rows.shape(1); ++j)
+            if (!std::isfinite(rows(i, j)))
+                return false;
+    return true;
 }
 
 static void bind_filter(nb::module_ &m) {
-    m.def("steps", &steps, "times_us"_a, "longest_us"_a,
-          "Start, middle and end (m, 3) of steps from time to time, as many between two as keep "
-          "them short; at least one.");
     nb::class_<Filter>(m, "Filter", "An extended Kalman filter over z = [q, v, d].")
         .def(
             "__init__",
             [](Filter *self, Bound &step, Array acceleration, Array walk, Array reading,
-               Array start, double nis_max, int64_t in_a_row, size_t rows, int64_t bundle_us) {
-                if (bundle_us < 1)
-                    throw std::invalid_argument("bundles of no length");
+               Array start, double nis_max, int64_t in_a_row, size_t rows, int64_t bundle_us,
+               int64_t step_us) {
+                if (bundle_us < 1 || step_us < 1)
+                    throw std::invalid_argument("bundles or steps of no length");
                 new (self) Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row},
-                                  rows, bundle_us);
+                                  rows, bundle_us, step_us);
             },
             "step"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a, "in_a_row"_a,
-            "rows"_a, "bundle_us"_a, nb::keep_alive<1, 2>(),
-            "rows: room for so many samples at first; bundle_us: see Estimator. Raises ValueError "
-            "for arrays of other sizes "
-            "than the step's.")
+            "rows"_a, "bundle_us"_a, "step_us"_a, nb::keep_alive<1, 2>(),
+            "rows: room for so many samples at first; bundle_us, step_us: the longest bundle and "
+            "step. Raises ValueError for arrays of other sizes than the step's.")
         .def(
             "reset",
             [](Filter &filter, int64_t time_us, const Vector &z, const Square &covariance) {
@@ -137,30 +169,18 @@ static void bind_filter(nb::module_ &m) {
                 filter.history.restart(time_us, z.data(), covariance.data());
             },
             "time_us"_a, "z"_a, "covariance"_a, "Forgets all samples.")
-        .def("insert", &insert, "samples"_a,
-             "Takes samples, but for known ones and those older than all that is remembered. "
-             "Returns how many are to be taken in, with those that are later than a new one.")
         .def(
-            "due",
-            [](const Filter &filter, int64_t now_us, int64_t longest_us) {
-                return steps(filter.times_to(now_us), longest_us);
-            },
-            "now_us"_a, "longest_us"_a, "The steps (m, 3) that `update` is to go.")
-        .def_prop_ro(
-            "position",
-            [](Filter &filter) {
-                const double *z = filter.history.z(filter.history.filled() - 1);
-                return vector(std::vector<double>(z, z + filter.axes()));
-            },
-            nb::rv_policy::move, "Where the axes were (n,) where `update` begins.")
-        .def("update", &update, "times_us"_a, "tracks"_a,
-             "Goes the steps that are due along `tracks` (3m, 5n), takes samples in and returns z "
-             "and its covariance. Raises ValueError for other sizes.")
+            "update", &update, "samples"_a, "now_us"_a, "tracks"_a,
+            "Takes samples in, but for known ones and those older than all that is remembered, and "
+            "with them those that are later than a new one. Returns z and its covariance then, and "
+            "the tracks there. Raises ValueError for tracks of another size.")
         .def("predict", &predict, "z"_a, "covariance"_a, "times_us"_a, "tracks"_a,
-             "The two carried through steps (m, 3). Raises ValueError for other sizes.")
+             "The two carried through times, and the tracks there. Raises ValueError for other "
+             "sizes.")
         .def("forget", &Filter::forget, "before_us"_a,
              "Forgets the samples before the last one that is older than a time: they enter the "
              "statistics.")
+        .def_prop_ro("taken", [](const Filter &f) { return f.statistics.taken; })
         .def_prop_ro("accepted", [](const Filter &f) { return f.statistics.accepted; })
         .def_prop_ro("outliers", [](const Filter &f) { return f.statistics.outliers; })
         .def_prop_ro("nis_sum", [](const Filter &f) { return f.statistics.nis_sum; });
@@ -168,6 +188,7 @@ static void bind_filter(nb::module_ &m) {
 
 NB_MODULE(_tick, m) {
     nb::module_::import_("headway.models._generated"); // knows Bound
+    nb::module_::import_("headway.devices._tracks");   // knows Along
     m.doc() = "What a tick computes: generated functions and a QP solver, in one call.";
     nb::class_<Answer>(m, "Answer", "What a solver says of its answer.")
         .def(
@@ -264,4 +285,6 @@ NB_MODULE(_tick, m) {
              "Runs `before`, then has the solver take the matrices.")
         .def("feedback", &Tick::feedback, free_gil());
     bind_filter(m);
+    m.def("finite", &all_finite, "rows"_a,
+          "Whether all of them (m, n) are: numpy takes six times as long.");
 }

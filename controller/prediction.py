@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -50,8 +51,12 @@ class ServoLaw:
         """What a plan counts on of an estimated disturbance (n,): no plan ends at rest under more
         than the motor can hold, and what pushes at a passive axis now would in a plan speed it up
         until the end."""
-        most = BORNE_SHARE * self.limit
-        return np.minimum(np.maximum(disturbance, -most), most)
+        least, most = self._borne
+        return np.minimum(np.maximum(disturbance, least), most)
+
+    @cached_property
+    def _borne(self) -> tuple[Array, Array]:
+        return -BORNE_SHARE * self.limit, BORNE_SHARE * self.limit
 
     @property
     def parameters(self) -> Array:

@@ -24,7 +24,6 @@ from headway.controller.gains import Gains
 from headway.controller.motion import Motion
 from headway.controller.prediction import Prediction
 from headway.devices import core
-from headway.devices._tracks import Course
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
 from headway.models.codegen import Array, Call, among, compile_functions, named_function
@@ -90,8 +89,11 @@ class Encoder:
     ) -> None:
         n, knots, driven = prediction.n, prediction.horizon_knots, prediction.law.driven
         self._n, self._gains, self._law, self._units = n, gains, prediction.law, units
-        self._driven, self._loop = driven, loop
+        self._driven = driven
         self._of: list[Remote] | None = None  # whose tracks are committed
+        sinks = range(2 + len(gains.sinks))
+        self._encoded = [[core.Track() for _ in sinks] for _ in units]  # gains, of the last plan
+        self._own_course = gains.course(self._encoded, units)
         self._h = loop.knot_us * 1e-6
         # Of knots and half-way between them, where a plan's first point is number 0.
         steps = loop.knot_us // 2 * np.arange(2, 2 * knots + 3)
@@ -140,12 +142,13 @@ class Encoder:
         pool = self.pool
         if remotes is not self._of:
             self._of = remotes
-            self._course = course_of(remotes, self._units, self._gains, self._loop)
+            sinks = range(len(self._encoded[0]))
+            tracks = [[remote.track(sink) for sink in sinks] for remote in remotes]
+            self._course = self._gains.course(tracks, self._units)
         self._course.points(knot - 1, start[: self._n], pool["r0"], pool["f0"])
         if self._gains.sinks:
             self._gain_points = self.gain_points(position, remotes, knot)
-            feedback = self._gains.feedback(self._gain_track, self._half_knots_us)
-            pool["feedback"][...] = feedback.T
+            pool["feedback"][...] = self._gains_along().T
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
 
     def roll(self, points: Array, start: Array, disturbance: Array) -> Motion:
@@ -211,10 +214,12 @@ class Encoder:
         points = fit.of_samples @ wanted + fit.of_committed @ np.stack(committed, axis=1)
         return self._gains.bounded(points)
 
-    def _gain_track(self, axis: int, sink: int) -> core.Track:
-        track = core.Track()
-        track.write(0, self._gain_points[axis, self._gains.sinks.index(sink)])
-        return track
+    def _gains_along(self) -> Array:
+        """[Kp, Kd + c] of the gain points at the knots and half-way between: (2K+1, 2n)."""
+        for tracks, points in zip(self._encoded, self._gain_points, strict=True):
+            for sink, row in zip(self._gains.sinks, points, strict=True):
+                tracks[sink].write(0, row)
+        return self._own_course.at(self._half_knots_us, np.zeros(self._n))[:, 3 * self._n :]
 
 
 def _at_knots(points: Any, weights: Sequence[float]) -> Any:
@@ -307,39 +312,3 @@ def _relieve(n: int, driven: list[int], knots: int) -> ca.Function:
     over = ca.mmax(ca.fabs(free[driven, :]) - ceiling[driven, :])
     outputs = {"motor": torque, "more": more, "over": over, "reached": _largest(free)}
     return named_function("relieve", inputs, outputs)
-
-
-def course_of(remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop) -> Course:
-    """The tracks of the driven axes."""
-    return Course(
-        gains.driven,
-        [remote.track(core.TRACK_POSITION) for remote in remotes],
-        [remote.track(core.TRACK_TORQUE) for remote in remotes],
-        [u.pq_per_unit for u in units],
-        [u.tq_per_effort for u in units],
-        [u.continuous for u in units],
-        loop.knot_shift,
-        np.concatenate((np.zeros(3 * gains.axes), gains.configured)),
-    )
-
-
-class Commitment:
-    """What the devices execute, as far as the host knows, as a function of system time."""
-
-    def __init__(
-        self, remotes: list[Remote], units: list[AxisUnits], gains: Gains, loop: Loop
-    ) -> None:
-        """`remotes` and `units` are those of the driven axes."""
-        self._remotes, self._gains = remotes, gains
-        self._course = course_of(remotes, units, gains, loop)
-
-    def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
-        """[r, r', f, Kp, Kd + c] at system times (m,), close together: (m, 5n) in rad, Nm and
-        seconds. `near` (n,): where the axes are at the first of them, give or take some turns."""
-        values = self._course.at(times_us, near)
-        if self._gains.sinks:
-            values[:, 3 * len(near) :] = self._gains.feedback(self._track, times_us)
-        return values
-
-    def _track(self, axis: int, sink: int) -> core.Track:
-        return self._remotes[axis].track(sink)

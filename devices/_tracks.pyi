@@ -50,10 +50,14 @@ class Gate:
         """Of points from a knot on (devices, sinks, m), a row a track, at a knot: the first row
         that it would not take, and why, as in firmware/gate.h; None if it takes all."""
 
-    def stored(self, first_knot: int, count: int) -> Points:
-        """What the tracks have from a knot on (tracks, count)."""
+class Along:
+    """What devices execute, as a function of system time."""
 
-class Course:
+    def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
+        """Rows [r, r', f, Kp, Kd + c] by axis (m, 5n) at system times (m,), close together.
+        `near` (n,): where the axes are at the first of them, give or take some turns."""
+
+class Course(Along):
     """What the devices execute, as far as the host knows, in SI."""
 
     def __init__(
@@ -66,13 +70,15 @@ class Course:
         continuous: list[bool],
         knot_shift: int,
         still: Array,
+        kp: list[Track],
+        kd: list[Track],
+        kp_per_mantissa: Array,
+        kd_per_mantissa: Array,
+        emf: Array,
     ) -> None:
         """`axes`: those with a motor; the next five lists are of these. `still`: a row
-        [r, r', f, Kp, Kd + c] (5n), of which `at` replaces what tracks tell."""
-
-    def at(self, times_us: NDArray[np.int64], near: Array) -> Array:
-        """Rows (m, 5n) at system times (m,), close together. `near` (n,): where the axes are at the
-        first of them, give or take some turns."""
+        [r, r', f, Kp, Kd + c] (5n), of which `at` replaces what tracks tell. The last five are of
+        gain tracks, or empty."""
 
     def points(self, first_knot: int, near: Array, position: Array, torque: Array) -> None:
         """Control points from a knot on, a row a driven axis, into arrays in Fortran order.

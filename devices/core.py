@@ -13,7 +13,6 @@ from headway.firmware._core import (
     TRACK_TORQUE,
     GateLimits,
     Track,
-    evaluate_tracks,
     gate_check_track,
     track_points,
 )
@@ -31,7 +30,6 @@ __all__ = [
     "TRACK_TORQUE",
     "GateLimits",
     "Track",
-    "evaluate_tracks",
     "gate_check_track",
     "track_points",
 ]

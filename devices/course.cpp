@@ -4,6 +4,14 @@
 
 #include "unwrap.hpp"
 
+constexpr int GAIN_BITS = 8; // of a gain's control point after the point of the mantissa
+constexpr int32_t MANTISSA_MAX = UINT16_MAX;
+
+// As the servo takes it.
+static int32_t mantissa(const track *gain, const instant *at) {
+    return std::clamp(track_value(gain, at) >> GAIN_BITS, 0, MANTISSA_MAX);
+}
+
 void Course::at(const int64_t *times_us, size_t count, const double *near, double *rows) const {
     const size_t n = axes();
     const double knot_s = (double)(1 << knot_shift) * 1e-6;
@@ -20,6 +28,10 @@ void Course::at(const int64_t *times_us, size_t count, const double *near, doubl
             row[0] = (d.continuous ? unwrap(value) : value) * unit;
             row[n] = track_rate(d.position, &at) * unit_s;
             row[2 * n] = track_value(d.torque, &at) * effort;
+            if (d.kp) {
+                row[3 * n] = mantissa(d.kp, &at) * d.kp_per_mantissa;
+                row[4 * n] = mantissa(d.kd, &at) * d.kd_per_mantissa + d.emf;
+            }
         }
     }
 }

@@ -132,17 +132,6 @@ static std::optional<std::pair<size_t, int>> refusal(const Gate &gate, int64_t f
     return std::nullopt;
 }
 
-static auto stored(const Gate &gate, int64_t first_knot, size_t count) {
-    auto *owned = new std::vector<int32_t>;
-    nb::capsule owner(owned,
-                      [](void *p) noexcept { delete static_cast<std::vector<int32_t> *>(p); });
-    for (const track *each : gate.stored)
-        for (size_t i = 0; i < count; i++)
-            owned->push_back(track_point(each, first_knot + (int64_t)i));
-    return nb::ndarray<nb::numpy, int32_t, nb::ndim<2>>(owned->data(), {gate.stored.size(), count},
-                                                        owner);
-}
-
 static void bind_gate(nb::module_ &m) {
     nb::class_<Gate>(m, "Gate", "The gate, as on the devices, of several tracks.")
         .def(
@@ -161,29 +150,40 @@ static void bind_gate(nb::module_ &m) {
             "limits"_a, "stored"_a)
         .def("refusal", &refusal, "first_knot"_a, "points"_a, "knot"_a,
              "Of points from a knot on (devices, sinks, m), a row a track, at a knot: the first "
-             "row that it would not take, and why, as in firmware/gate.h; None if it takes all.")
-        .def("stored", &stored, "first_knot"_a, "count"_a,
-             "What the tracks have from a knot on (tracks, count).");
+             "row that it would not take, and why, as in firmware/gate.h; None if it takes all.");
 }
 
 // A course with the tracks that it reads.
-struct Kept {
+struct Kept : Course {
+    Kept(Course course, std::vector<nb::object> tracks)
+        : Course(std::move(course)), tracks(std::move(tracks)) {}
     std::vector<nb::object> tracks;
-    Course course;
 };
+
+static void append(std::vector<nb::object> &kept, const std::vector<nb::object> &more) {
+    kept.insert(kept.end(), more.begin(), more.end());
+}
 
 static void bind_course(nb::module_ &m) {
     using Tracks = std::vector<nb::object>;
-    nb::class_<Kept>(m, "Course", "What the devices execute, as far as the host knows, in SI.")
+    nb::class_<Along>(m, "Along", "What devices execute, as a function of system time.");
+    nb::class_<Kept, Along>(m, "Course",
+                            "What the devices execute, as far as the host knows, in SI.")
         .def(
             "__init__",
             [](Kept *self, const std::vector<size_t> &axes, Tracks position, Tracks torque,
                const std::vector<double> &pq_per_unit, const std::vector<double> &tq_per_effort,
-               const std::vector<bool> &continuous, int32_t knot_shift, std::vector<double> still) {
-                size_t w = axes.size();
+               const std::vector<bool> &continuous, int32_t knot_shift, std::vector<double> still,
+               Tracks kp, Tracks kd, const std::vector<double> &kp_per_mantissa,
+               const std::vector<double> &kd_per_mantissa, const std::vector<double> &emf) {
+                size_t w = axes.size(), gains = kp.size();
                 if (position.size() != w || torque.size() != w || pq_per_unit.size() != w ||
                     tq_per_effort.size() != w || continuous.size() != w || still.size() % 5)
                     throw std::invalid_argument("not as many tracks and quanta as axes");
+                if ((gains != 0 && gains != w) || kd.size() != gains ||
+                    kp_per_mantissa.size() != gains || kd_per_mantissa.size() != gains ||
+                    emf.size() != gains)
+                    throw std::invalid_argument("not as many gains as axes");
                 std::vector<Driven> driven;
                 for (size_t i = 0; i < w; ++i) {
                     if (axes[i] >= still.size() / 5)
@@ -191,18 +191,28 @@ static void bind_course(nb::module_ &m) {
                     driven.push_back({axes[i], nb::cast<const track *>(position[i]),
                                       nb::cast<const track *>(torque[i]), pq_per_unit[i],
                                       tq_per_effort[i], continuous[i]});
+                    if (gains) {
+                        Driven &d = driven.back();
+                        d.kp = nb::cast<const track *>(kp[i]);
+                        d.kd = nb::cast<const track *>(kd[i]);
+                        d.kp_per_mantissa = kp_per_mantissa[i];
+                        d.kd_per_mantissa = kd_per_mantissa[i];
+                        d.emf = emf[i];
+                    }
                 }
-                position.insert(position.end(), torque.begin(), torque.end());
-                new (self) Kept{std::move(position), {driven, knot_shift, std::move(still)}};
+                for (const Tracks &more : {torque, kp, kd})
+                    append(position, more);
+                new (self) Kept({driven, knot_shift, std::move(still)}, std::move(position));
             },
             "axes"_a, "position"_a, "torque"_a, "pq_per_unit"_a, "tq_per_effort"_a, "continuous"_a,
-            "knot_shift"_a, "still"_a,
+            "knot_shift"_a, "still"_a, "kp"_a, "kd"_a, "kp_per_mantissa"_a, "kd_per_mantissa"_a,
+            "emf"_a,
             "axes: those with a motor; the next five lists are of these. still: a row [r, r', f, "
-            "Kp, Kd + c] (5n), of which `at` replaces what tracks tell.")
+            "Kp, Kd + c] (5n), of which `at` replaces what tracks tell. The last five lists are of "
+            "gain tracks, or empty.")
         .def(
             "at",
-            [](const Kept &kept, Instants times_us, Vector near) {
-                const Course &course = kept.course;
+            [](const Kept &course, Instants times_us, Vector near) {
                 size_t count = times_us.shape(0);
                 if (count == 0 || near.size() != course.axes())
                     throw std::invalid_argument("no times, or another number of axes");
@@ -215,9 +225,8 @@ static void bind_course(nb::module_ &m) {
             "the first of them, give or take some turns.")
         .def(
             "points",
-            [](const Kept &kept, int64_t first_knot, Vector near, Columns position,
+            [](const Kept &course, int64_t first_knot, Vector near, Columns position,
                Columns torque) {
-                const Course &course = kept.course;
                 size_t count = position.shape(1);
                 if (near.size() != course.axes() || position.shape(0) != course.moved() ||
                     torque.shape(0) != course.moved() || torque.shape(1) != count)

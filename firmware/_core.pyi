@@ -360,15 +360,6 @@ class Track:
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
         """Value, rate per knot and curve per knot squared at system times."""
 
-def evaluate_tracks(
-    tracks: Sequence[Track],
-    times_us: NDArray[np.int64],
-    knot_shift: int,
-    values: NDArray[np.float64],
-    rates: NDArray[np.float64] | None = None,
-) -> None:
-    """Writes k tracks' values and rates per knot, in quanta, at system times (m,): each (m, k)."""
-
 def track_points(tracks: Sequence[Track], first_knot: int, count: int) -> NDArray[np.int32]:
     """Control points of k tracks: (k, count)."""
 

@@ -545,25 +545,6 @@ static nb::tuple evaluate(const track &t, Times times_us, int32_t knot_shift) {
 
 using Tracks = std::vector<const track *>;
 
-using Table = nb::ndarray<double, nb::ndim<2>, nb::device::cpu>;
-
-// Of several tracks, a column each, into tables of others.
-static void evaluate_tracks(const Tracks &tracks, Times times_us, int32_t knot_shift, Table values,
-                            std::optional<Table> rates) {
-    size_t m = times_us.shape(0), k = tracks.size();
-    for (const Table *table : {&values, rates ? &*rates : &values})
-        if (table->shape(0) != m || table->shape(1) != k)
-            throw std::invalid_argument("a table has a row a time and a column a track");
-    for (size_t i = 0; i < m; i++) {
-        instant at = instant_at(times_us.data()[i], knot_shift);
-        for (size_t j = 0; j < k; j++) {
-            values(i, j) = track_value(tracks[j], &at);
-            if (rates)
-                (*rates)(i, j) = track_rate(tracks[j], &at);
-        }
-    }
-}
-
 // Of several tracks, a row each.
 static auto track_points(const Tracks &tracks, int64_t first_knot, int32_t count) {
     size_t k = tracks.size(), m = (size_t)(count < 0 ? 0 : count);
@@ -615,8 +596,6 @@ static void bind_kernels(nb::module_ &m) {
             },
             "time_us"_a, "knot_shift"_a)
         .def("evaluate", &evaluate, "times_us"_a, "knot_shift"_a);
-    m.def("evaluate_tracks", &evaluate_tracks, "tracks"_a, "times_us"_a, "knot_shift"_a,
-          "values"_a.noconvert(), "rates"_a.noconvert() = nb::none());
     m.def("track_points", &track_points, "tracks"_a, "first_knot"_a, "count"_a);
     m.def(
         "gate_check_track",

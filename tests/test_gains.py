@@ -507,9 +507,9 @@ def test_the_estimate_knows_the_gains() -> None:
     lock.run()
     record = lock.record.arrays()
     at = record["end_us"][0] - 2_000_000 + np.arange(0, 400_000, 3_000)
-    seen = Gains(lock.config, models("arm2")[0], 54).feedback(
-        lambda axis, sink: lock.remotes[axis].track(sink), at
-    )
+    tracks = [[remote.track(sink) for sink in range(5)] for remote in lock.remotes]
+    course = Gains(lock.config, models("arm2")[0], 54).course(tracks, UNITS)
+    seen = course.at(at, np.zeros(2))[:, 6:]
     law = ServoLaw.of(lock.config.machine.axes)
     for axis in range(2):
         config = lock.config

@@ -143,9 +143,7 @@ def test_the_gate_of_several_takes_what_each_takes(seed: int, odd: int, step: in
         for *given_, row in zip(limits, stored, points, strict=True)
     ]
     first = next(((i, result) for i, result in enumerate(results) if result), None)
-    gate = Gate(limits, stored)
-    assert gate.refusal(4, np.array(points)[:, None], 4) == first
-    assert np.array_equal(gate.stored(2, 9), [track.points(2, 9) for track in stored])
+    assert Gate(limits, stored).refusal(4, np.array(points)[:, None], 4) == first
 
 
 @given(st.integers(0, 2**32), st.booleans(), st.floats(-1e3, 1e3))
@@ -155,7 +153,9 @@ def test_a_course_is_its_tracks_in_si(seed: int, continuous: bool, near: float) 
     pq, tq, still = [1000.0, 300.0], [10.0, 7.0], np.arange(15.0)
     wrapped = np.array([2**31 - 300, -(2**31) + 100, *[-(2**31) + 500] * 3], dtype=np.int32)
     position[1].write(20, wrapped)
-    course = Course([0, 2], position, torque, pq, tq, [False, continuous], 12, still)
+    none, no = list[_core.Track](), np.empty(0)
+    quanta = position, torque, pq, tq, [False, continuous], 12, still
+    course = Course([0, 2], *quanta, none, none, no, no, no)
     times_us = np.arange(0, 50 * KNOT_US, 777)
     if continuous:
         times_us = times_us[(times_us > 23 * KNOT_US)]
@@ -179,3 +179,13 @@ def test_a_course_is_its_tracks_in_si(seed: int, continuous: bool, near: float) 
     np.testing.assert_allclose(r0[0], position[0].points(5, 3) / pq[0])
     for i in range(2):
         np.testing.assert_allclose(f0[i], torque[i].points(5, 3) / tq[i])
+    gains = tracks_of(seed + 2, 4)
+    per, emf = np.array([[0.5, 3.0], [0.25, 2.0]]), np.array([0.1, 0.7])
+    scheduled = Course([0, 2], *quanta, gains[:2], gains[2:], *per, emf)
+    more = scheduled.at(times_us, np.array([0.0, 0.0, near]))
+    assert np.array_equal(more[:, :9], rows[:, :9])
+    for i, axis in enumerate((0, 2)):
+        kp, kd = (np.maximum(gains[i + 2 * k].evaluate(times_us, 12)[0] // 256, 0) for k in (0, 1))
+        np.testing.assert_allclose(more[:, 9 + axis], kp * per[0, i])
+        np.testing.assert_allclose(more[:, 12 + axis], kd * per[1, i] + emf[i])
+    assert np.array_equal(more[:, [10, 13]], rows[:, [10, 13]])

@@ -20,7 +20,7 @@ from headway.controller.motion import Motion
 from headway.controller.mpc import Mpc, Solution
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.controller.tick import Outbox, Phase, Tick
-from headway.controller.tracks import Commitment, Encoder, Fit
+from headway.controller.tracks import Encoder, Fit
 from headway.devices import core
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
@@ -331,7 +331,8 @@ def test_the_encoded_motion_is_the_planned_to_about_a_count_rms(
 def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None:
     """At each tick, over the knot that has passed and the one that begins, to the last bit."""
     lock = Lockstep(config_of("duration_s=2"), CONFIGS)
-    commitment = Commitment(lock.remotes, UNITS, gains(), lock.config.loop)
+    tracks = [[remote.track(sink) for sink in range(2)] for remote in lock.remotes]
+    committed = gains().course(tracks, UNITS)
     tick, compared = lock.loop.tick, 0
     quanta = np.array(
         [PQ_PER_RAD, PQ_PER_RAD, PQ_PER_RAD * KNOT_S, PQ_PER_RAD * KNOT_S, TQ_PER_NM, TQ_PER_NM]
@@ -341,7 +342,7 @@ def test_what_the_host_takes_for_committed_is_what_the_devices_execute() -> None
         nonlocal compared
         if lock.loop.phase is Phase.RUN:
             times_us = np.arange(now_us - 4096, now_us + 4096, 256)
-            values = commitment.at(times_us, lock.plant.position)[:, :6] * quanta
+            values = committed.at(times_us, lock.plant.position)[:, :6] * quanta
             for time_us, value in zip(times_us.tolist(), values, strict=True):
                 setpoints = np.array([node.setpoint(time_us) for node in lock.plant.nodes])
                 np.testing.assert_allclose(value, setpoints.T.ravel(), rtol=1e-12, atol=1e-9)
