@@ -126,7 +126,7 @@ class Filter:
 
     def __init__(
         self,
-        step: Bound,
+        slope: Bound,
         acceleration: Array,
         walk: Array,
         reading: Array,
@@ -138,7 +138,7 @@ class Filter:
         step_us: int,
     ) -> None:
         """`rows`: room for so many samples at first; `bundle_us`, `step_us`: the longest bundle and
-        step. Raises ValueError for arrays of other sizes than the step's."""
+        step. Raises ValueError for arrays of other sizes than the slope's."""
 
     def reset(self, time_us: int, z: Array, covariance: Array) -> None:
         """Forgets all samples."""
@@ -155,6 +155,10 @@ class Filter:
     ) -> tuple[Array, Array, Array]:
         """The two carried through times, and the tracks there. Raises ValueError for other
         sizes."""
+
+    def step(self, z: Array, tracks: Array, dt_s: float) -> tuple[Array, Array]:
+        """One step by itself, through tracks (3, 5n) at its start, middle and end: x after it (2n,)
+        and its Jacobian in z (2n, 3n). Raises ValueError for other sizes."""
 
     def forget(self, before_us: int) -> None:
         """Forgets the samples before the last one that is older than a time: they enter the

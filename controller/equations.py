@@ -52,7 +52,7 @@ class Equations:
             return ca.Function(name, [x, control, d, law], ca.cse(result))
 
         self.driven_slope = slope("driven_slope", u, u)
-        self.servoed_slope = slope("servoed_slope", servo, tracks)
+        self.servoed_slope = slope("slope", servo, tracks)
         motion = ca.vertcat(v, forward_dynamics(tree, q, v, servo + d - friction))
         self.servoed = ca.Function("servoed", [x, tracks, d, law], [motion])
         needed = inverse_dynamics(tree, q, v, a) + friction
@@ -61,14 +61,6 @@ class Equations:
         self.inverse = ca.Function(
             "inverse", [q, v, a, law], [ca.densify(needed)], names, ["effort"]
         )
-
-    def along(self, slope: Any, xs: Any, by_control: Any) -> Any:
-        """d/dt of xs = [x, S], where S (2n, m) is x's Jacobian in anything and `by_control` (n, m)
-        the control's: the variational equation. A Runge-Kutta step of [x, S] gives the step and
-        its exact Jacobian (Hairer, Norsett, Wanner, Solving ODEs I, section I.14)."""
-        rate, by_state, by_torque = slope
-        s = xs[:, 1:]
-        return ca.horzcat(rate, ca.vertcat(s[self.n :, :], by_state @ s + by_torque @ by_control))
 
 
 def servo_torque(tracks: Sequence[Any], q: Any, v: Any) -> Any:

@@ -4,7 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
-enum { X, D, START, MIDDLE, END, DT, LAW, AFTER, JACOBIAN, ARRAYS }; // of `step`
+enum { X, TRACKS, D, LAW, RATE, BY_STATE, BY_TORQUE, ARRAYS }; // of `slope`
 
 // The loops over matrices are compiled for several processors; the one at hand is found at load time.
 // Where the number of axes is known to the compiler it unrolls them.
@@ -32,19 +32,22 @@ std::vector<int64_t> steps_through(const std::vector<int64_t> &times_us, int64_t
     return steps;
 }
 
-Filter::Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
+Filter::Filter(Bound &slope, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
                int64_t step_us)
-    : history(noise.reading.size(), rows, bundle_us), step_us(step_us), step(step),
+    : history(noise.reading.size(), rows, bundle_us), step_us(step_us), slope(slope),
       noise(std::move(noise)), outliers(outliers), n(this->noise.reading.size()),
-      carried(6 * n * n), column(3 * n), gain(3 * n), acceleration(n) {
-    if (step.kept.size() != ARRAYS || step.kept[D].size() != n)
-        throw std::invalid_argument("not a step of as many axes");
+      carried(6 * n * n), column(3 * n), gain(3 * n), after(2 * n), jacobian(6 * n * n), x(2 * n),
+      s(6 * n * n), ds(6 * n * n), sum(6 * n * n), one(6 * n * n), acceleration(n) {
+    if (slope.kept.size() != ARRAYS || slope.kept[D].size() != n)
+        throw std::invalid_argument("not a slope of as many axes");
     if (this->noise.acceleration.size() != n || this->noise.walk.size() != n ||
         this->noise.start.size() != 3 * n)
         throw std::invalid_argument("noise of another number of axes");
+    for (size_t i = 0; i < 2 * n; ++i)
+        one[i * 3 * n + i] = 1.0;
 }
 
-size_t Filter::track_rows() const { return step.kept[START].size(); }
+size_t Filter::track_rows() const { return slope.kept[TRACKS].size(); }
 
 std::vector<int64_t> Filter::times_to(int64_t now_us) const {
     std::vector<int64_t> times_us;
@@ -149,19 +152,78 @@ static void mirror(double *p, size_t nz) {
             p[i * nz + j] = p[j * nz + i];
 }
 
-void Filter::step_on(double *z, double *covariance, double dt_s, const double *tracks) {
-    const size_t nx = 2 * n, nz = 3 * n, rows = track_rows();
-    std::copy_n(z, nx, step.kept[X].data());
-    std::copy_n(z + nx, n, step.kept[D].data());
-    for (int at : {START, MIDDLE, END})
-        std::copy_n(tracks + rows * (size_t)(at - START), rows, step.kept[at].data());
-    step.kept[DT].data()[0] = dt_s;
-    generated_run(&step.generated);
-    for (size_t i = 0; i < n; ++i)
-        acceleration[i] = (step.kept[AFTER].data()[n + i] - z[n + i]) / dt_s;
-    std::copy_n(step.kept[AFTER].data(), nx, z);
+// The rate of S, x's Jacobian in z, by rows (2n, 3n): that of the positions' rows is the velocities';
+// that of the velocities' is A S and B where d is, with A (n, 2n) and B (n, n) by columns.
+INLINED vary_of(const double *__restrict s, const double *__restrict a, const double *__restrict b,
+                double *__restrict ds, size_t n) {
+    const size_t nx = 2 * n, nz = 3 * n;
+    std::copy_n(s + n * nz, n * nz, ds);
+    for (size_t i = 0; i < n; ++i) {
+        double *row = ds + (n + i) * nz;
+        std::fill_n(row, nx, 0.0);
+        for (size_t j = 0; j < n; ++j)
+            row[nx + j] = b[i + n * j];
+        for (size_t k = 0; k < nx; ++k)
+            for (size_t j = 0; j < nz; ++j)
+                row[j] += a[i + n * k] * s[k * nz + j];
+    }
+}
 
-    propagate(covariance, step.kept[JACOBIAN].data(), carried.data(), n);
+VECTORS static void vary(const double *s, const double *a, const double *b, double *ds, size_t n) {
+    switch (n) {
+    case 2:
+        return vary_of(s, a, b, ds, 2);
+    case 6:
+        return vary_of(s, a, b, ds, 6);
+    default:
+        return vary_of(s, a, b, ds, n);
+    }
+}
+
+// y = at + share * rate, and sum += weight * rate.
+VECTORS static void go(const double *at, const double *rate, double share, double weight, double *y,
+                       double *sum, size_t count) {
+    for (size_t i = 0; i < count; ++i) {
+        y[i] = at[i] + share * rate[i];
+        sum[i] += weight * rate[i];
+    }
+}
+
+// The classical Runge-Kutta step of x and, by the variational equation, of its Jacobian: which is
+// then the step's own (Hairer, Norsett, Wanner, Solving ODEs I, section I.14).
+void Filter::step(const double *z, const double *tracks, double dt_s, double *end,
+                  double *end_jacobian) {
+    const size_t nx = 2 * n, nz = 3 * n, rows = track_rows(), all = nx * nz;
+    std::copy_n(z, nx, x.data());
+    std::copy_n(z, nx, end);
+    s = one, sum = one;
+    std::copy_n(z + nx, n, slope.kept[D].data());
+    const double *rate = slope.kept[RATE].data(), *by_state = slope.kept[BY_STATE].data(),
+                 *by_torque = slope.kept[BY_TORQUE].data();
+    for (int stage = 0; stage < 4; ++stage) {
+        const size_t at = stage == 0 ? 0 : stage < 3 ? 1 : 2; // start, middle, end
+        const double share = stage < 2 ? dt_s / 2 : dt_s;     // of the way to the next one
+        const double weight = dt_s / (stage % 3 == 0 ? 6 : 3);
+        std::copy_n(x.data(), nx, slope.kept[X].data());
+        std::copy_n(tracks + rows * at, rows, slope.kept[TRACKS].data());
+        generated_run(&slope.generated);
+        vary(s.data(), by_state, by_torque, ds.data(), n);
+        go(z, rate, share, weight, x.data(), end, nx);
+        go(one.data(), ds.data(), share, weight, s.data(), sum.data(), all);
+    }
+    for (size_t i = 0; i < nx; ++i)
+        for (size_t j = 0; j < nz; ++j)
+            end_jacobian[i + nx * j] = sum[i * nz + j];
+}
+
+void Filter::step_on(double *z, double *covariance, double dt_s, const double *tracks) {
+    const size_t nx = 2 * n, nz = 3 * n;
+    step(z, tracks, dt_s, after.data(), jacobian.data());
+    for (size_t i = 0; i < n; ++i)
+        acceleration[i] = (after[n + i] - z[n + i]) / dt_s;
+    std::copy_n(after.data(), nx, z);
+
+    propagate(covariance, jacobian.data(), carried.data(), n);
     mirror(covariance, nz);
     for (size_t i = 0; i < n; ++i) {
         const size_t q = i, v = n + i, d = nx + i;

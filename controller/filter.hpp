@@ -42,7 +42,7 @@ struct Statistics {
 class Filter {
   public:
     // `rows`, `bundle_us`: see History; `step_us`: the longest step.
-    Filter(Bound &step, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
+    Filter(Bound &slope, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
            int64_t step_us);
 
     size_t axes() const { return n; }
@@ -58,6 +58,10 @@ class Filter {
     // Carries z and its covariance, in place, through all steps.
     void predict(double *z, double *covariance, Steps steps);
 
+    // One step by itself, of z through tracks at its start, middle and end: x after it, and its
+    // Jacobian in z (2n, 3n), by columns.
+    void step(const double *z, const double *tracks, double dt_s, double *after, double *jacobian);
+
     // Forgets the samples before the last one that is older than a time.
     void forget(int64_t before_us);
 
@@ -70,10 +74,12 @@ class Filter {
     void correct(double *z, double *covariance, size_t row);
     void take_in(double *z, double *covariance, int64_t time_us);
 
-    Bound &step; // x, d, tracks at the start, middle and end, dt to x after, its Jacobian in [x, d]
+    Bound &slope; // x, tracks, d to x', the accelerations' Jacobians in x and in d
     Noise noise;
     Outliers outliers;
     size_t n;
-    std::vector<double> carried, column, gain; // working memory: F P; P H'; K
-    std::vector<double> acceleration;          // in the last step, on average
+    // Working memory: F P; P H'; K; x after a step and its Jacobian F; at a stage x and, by rows, its
+    // Jacobian S, that one's rate and the sum of those; S as a step begins.
+    std::vector<double> carried, column, gain, after, jacobian, x, s, ds, sum, one;
+    std::vector<double> acceleration; // in the last step, on average
 };

@@ -138,6 +138,18 @@ static nb::tuple predict(Filter &filter, const Vector &z, const Square &covarian
     return told(std::move(state), std::move(spread), way);
 }
 
+static nb::tuple step(Filter &filter, const Vector &z, const Table &tracks, double dt_s) {
+    const size_t n = filter.axes();
+    if (z.size() != 3 * n || tracks.shape(0) != 3 || tracks.shape(1) != filter.track_rows())
+        throw std::invalid_argument("a state or tracks of another size than the filter's");
+    std::vector<double> after(2 * n), by_columns(6 * n * n), jacobian;
+    filter.step(z.data(), tracks.data(), dt_s, after.data(), by_columns.data());
+    for (size_t i = 0; i < 2 * n; ++i)
+        for (size_t j = 0; j < 3 * n; ++j)
+            jacobian.push_back(by_columns[i + 2 * n * j]);
+    return nb::make_tuple(vector(std::move(after)), array(std::move(jacobian), 2 * n, 3 * n));
+}
+
 static bool all_finite(const Rows &rows) {
     for (size_t i = 0; i < rows.shape(0); ++i)
         for (size_t j = 0; j < rows.shape(1); ++j)
@@ -150,18 +162,18 @@ static void bind_filter(nb::module_ &m) {
     nb::class_<Filter>(m, "Filter", "An extended Kalman filter over z = [q, v, d].")
         .def(
             "__init__",
-            [](Filter *self, Bound &step, Array acceleration, Array walk, Array reading,
+            [](Filter *self, Bound &slope, Array acceleration, Array walk, Array reading,
                Array start, double nis_max, int64_t in_a_row, size_t rows, int64_t bundle_us,
                int64_t step_us) {
                 if (bundle_us < 1 || step_us < 1)
                     throw std::invalid_argument("bundles or steps of no length");
-                new (self) Filter(step, {acceleration, walk, reading, start}, {nis_max, in_a_row},
+                new (self) Filter(slope, {acceleration, walk, reading, start}, {nis_max, in_a_row},
                                   rows, bundle_us, step_us);
             },
-            "step"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a, "in_a_row"_a,
-            "rows"_a, "bundle_us"_a, "step_us"_a, nb::keep_alive<1, 2>(),
+            "slope"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a,
+            "in_a_row"_a, "rows"_a, "bundle_us"_a, "step_us"_a, nb::keep_alive<1, 2>(),
             "rows: room for so many samples at first; bundle_us, step_us: the longest bundle and "
-            "step. Raises ValueError for arrays of other sizes than the step's.")
+            "step. Raises ValueError for arrays of other sizes than the slope's.")
         .def(
             "reset",
             [](Filter &filter, int64_t time_us, const Vector &z, const Square &covariance) {
@@ -177,6 +189,9 @@ static void bind_filter(nb::module_ &m) {
         .def("predict", &predict, "z"_a, "covariance"_a, "times_us"_a, "tracks"_a,
              "The two carried through times, and the tracks there. Raises ValueError for other "
              "sizes.")
+        .def("step", &step, "z"_a, "tracks"_a, "dt_s"_a,
+             "One step by itself, through tracks (3, 5n) at its start, middle and end: x after it "
+             "(2n,) and its Jacobian in z (2n, 3n). Raises ValueError for other sizes.")
         .def("forget", &Filter::forget, "before_us"_a,
              "Forgets the samples before the last one that is older than a time: they enter the "
              "statistics.")

@@ -70,14 +70,15 @@ class ServoLaw:
 
 
 class Prediction:
-    """Compiled functions of one machine: closed-loop steps for the estimator and the roll-out,
+    """Compiled functions of one machine: the closed loop's slope for the estimator, its roll-out,
     open-loop linearization for the optimal control problem, and inverse dynamics.
 
     States are x = [q, v] (2n); `tracks` are [r, r', f, Kp, Kd + c] (5n); d is the disturbance
     torque (n).
 
-        step       x, d, tracks at start, middle and end, dt   to x after, its Jacobian in [x, d]
-        rollout    the same for `horizon_knots` steps in a row to each x after, `states`
+        slope      x, tracks, d to x', the accelerations' Jacobians in x (n, 2n) and in d (n, n)
+        rollout    x, d, tracks at start, middle and end, dt, of each of `horizon_knots` steps in a
+                   row to each x after, `states`
         linearize  x, torques u0 at start and u1 at end, d, dt, for each of `intervals`
                    to x after, its Jacobians in x, u0, u1
         given      x, tracks to the servos' torques, as far as the motors give them
@@ -90,14 +91,13 @@ class Prediction:
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
         along = equations.inverse.map("along", "serial", horizon_knots + 1, [3], [])
-        functions = [_step(equations), rollout, equations.given, equations.inverse, along]
+        functions = [equations.servoed_slope, rollout, equations.given, equations.inverse, along]
         library = compile_functions("machine", functions)
         linearize = compile_mapped("linearize", interval(equations), intervals, [3, 4, 5])
         self._libraries = {"linearize": linearize} | dict.fromkeys(
-            ("step", "rollout", "given", "inverse", "along"), library
+            ("slope", "rollout", "given", "inverse", "along"), library
         )
-        self.step, self._inverse = self.call("step"), self.call("inverse")
-        self._along = self.call("along")
+        self._inverse, self._along = self.call("inverse"), self.call("along")
         self._given = self.call("given")
 
     @classmethod
@@ -159,25 +159,10 @@ def _advance(equations: Equations) -> ca.Function:
     return named_function("advance", {**inputs, "dt": dt, "law": law}, after)
 
 
-def _step(equations: Equations) -> ca.Function:
-    """One servoed step with its Jacobian in [x, d]."""
-    n = equations.n
-    x, d, dt, law = _symbols(n)
-    tracks = _tracks(n)
-    by_d = ca.horzcat(ca.DM(n, 2 * n), ca.DM.eye(n))
-
-    def rate(xs: Any, tracks: Any) -> Any:
-        return equations.along(equations.servoed_slope(xs[:, 0], tracks, d, law), xs, by_d)
-
-    start = ca.horzcat(x, ca.DM.eye(2 * n), ca.DM(2 * n, n))
-    after = ca.densify(runge_kutta(rate, start, *tracks, dt))
-    return ca.Function("step", [x, d, *tracks, dt, law], [after[:, 0], after[:, 1:]])
-
-
 def interval(equations: Equations) -> ca.Function:
     """One driven step, the torque going linearly from u0 to u1, with its Jacobians: the variational
-    equation as in `Equations.along`, with positions' and velocities' halves apart. Half of it is
-    known: a position's rate is the velocity."""
+    equation (Hairer, Norsett, Wanner, Solving ODEs I, section I.14), with positions' and
+    velocities' halves apart. Half of it is known: a position's rate is the velocity."""
     n = equations.n
     x, d, dt, law = _symbols(n)
     u0, u1 = ca.MX.sym("u0", n), ca.MX.sym("u1", n)

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from trees import random_mjcf
 
 from headway.configs.load import load_config
+from headway.controller._tick import Filter
 from headway.controller.equations import COULOMB_SPEED
 from headway.controller.prediction import Prediction, ServoLaw
 from headway.models.dynamics import (
@@ -233,12 +234,8 @@ def central(function: Callable[[Array], Array], at: Array, h: float = 1e-5) -> A
 def step(prediction: Prediction, z: Array, tracks: Array, dt: float) -> tuple[Array, Array]:
     """The state after, and its derivatives; z = [x, d]."""
     n = prediction.n
-    for target, value in zip(
-        prediction.step.inputs, (z[: 2 * n], z[2 * n :], *tracks, dt), strict=True
-    ):
-        target[:, 0] = value
-    after, jacobian = prediction.step.run()
-    return after[:, 0].copy(), jacobian.copy()
+    noise = np.ones(n), np.ones(n), np.ones(n), np.ones(3 * n), 9.0, 20
+    return Filter(prediction.call("slope").bound, *noise, 8, 1, 5000).step(z, tracks, dt)
 
 
 def servo_cases(prediction: Prediction, saturated: bool) -> list[tuple[Array, Array]]:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
+from servoed import Servoed
 
 from headway.configs.load import load_config
 from headway.configs.schema import Estimator as EstimatorConfig
@@ -42,6 +43,11 @@ def prediction() -> Prediction:
     config = load_config(CONFIGS / "arm2.yaml")
     machine = load_machine(ROOT / "models" / "arm2" / "arm2.xml")
     return Prediction.of(config, machine)
+
+
+@cache
+def servoed() -> Servoed:
+    return Servoed(prediction())
 
 
 def estimator(**changes: float) -> Estimator:
@@ -210,7 +216,7 @@ class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
     def __init__(self, model: Prediction, config: EstimatorConfig, tracks: Swings) -> None:
         n = self._n = model.n
         super().__init__(dim_x=3 * n, dim_z=1)
-        self._step, self._config, self._tracks = model.step, config, tracks
+        self._step, self._config, self._tracks = Servoed(model), config, tracks
         self._time_us, self._rows, self._rate = START_US, [0] * n, np.zeros(n)
         position = tracks.at(np.array([START_US]))[0, :n]
         self.x = np.concatenate((position, np.zeros(2 * n)))  # of this shape, see docs/libraries.md
@@ -219,23 +225,20 @@ class Oracle(ExtendedKalmanFilter):  # type: ignore[misc]
         self.P = self._start
 
     def predict_x(self, u: object = 0) -> None:
-        values, n = self._step.run(), self._n
-        dt = self._step.inputs[5][0, 0]
-        self._rate = (values[0][n:, 0] - self.x[n : 2 * n]) / dt
-        self.x = np.concatenate((values[0][:, 0], self.x[2 * self._n :]))
-        self.F = np.vstack((values[1], np.eye(3 * self._n)[2 * self._n :]))
+        n, dt = self._n, self._dt
+        after, jacobian = self._step(self.x, self._along, dt)
+        self._rate = (after[n:] - self.x[n : 2 * n]) / dt
+        self.x = np.concatenate((after, self.x[2 * n :]))
+        self.F = np.vstack((jacobian, np.eye(3 * n)[2 * n :]))
 
     def carry(self, time_us: int) -> None:
         """To a time at most 5 ms on."""
         n, gap_us = self._n, time_us - self._time_us
         assert gap_us <= 5000
         if gap_us > 0:
-            inputs, dt = self._step.inputs, gap_us * 1e-6
-            inputs[0][:, 0], inputs[1][:, 0], inputs[5][0, 0] = self.x[: 2 * n], self.x[2 * n :], dt
+            dt = self._dt = gap_us * 1e-6
             middle_us = (self._time_us + time_us) // 2
-            along = self._tracks.at(np.array([self._time_us, middle_us, time_us]))
-            for target, value in zip(inputs[2:5], along, strict=True):
-                target[:, 0] = value
+            self._along = self._tracks.at(np.array([self._time_us, middle_us, time_us]))
             white = self._config.acceleration_noise_rad_or_m_per_s15**2
             self.Q = np.diag([self._config.disturbance_noise_Nm_or_N_per_s05**2 * dt] * 3 * n)
             self.Q[: 2 * n, : 2 * n] = np.kron(
@@ -333,11 +336,7 @@ def process_noise(config: EstimatorConfig) -> Array:
 
 
 def model_step(z: Array, tracks: Array) -> Array:
-    inputs = prediction().step.inputs
-    inputs[0][:, 0], inputs[1][:, 0], inputs[5][0, 0] = z[:4], z[4:], STEP_US * 1e-6
-    for k in range(3):
-        inputs[2 + k][:, 0] = tracks[k]
-    return np.concatenate((prediction().step.run()[0][:, 0], z[4:]))
+    return np.concatenate((servoed()(z, tracks, STEP_US * 1e-6)[0], z[4:]))
 
 
 def matched_run(seed: int, tracks: Waves, root: Array, filter_: Estimator) -> list[float]:
