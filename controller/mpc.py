@@ -54,7 +54,7 @@ class Mpc:
         self._nodes = slice(None, None, knots // config.mpc.intervals)
         self.encoder = encoder
         self.program = Program(config, prediction, costs, encoder.encoding, encoder.pool)
-        self._along = np.zeros((knots + 1, prediction.n))  # the positions of the guess
+        self._guess = Motion(np.zeros((knots + 1, 3 * prediction.n)))
         self._assumed = np.zeros(prediction.n)
         self._prepare_us = 0.0
 
@@ -64,9 +64,9 @@ class Mpc:
         disturbance: (n,), as far as it is known now; node_s: (N+1,) times of the task.
         """
         began = time.perf_counter()
-        self._along, nodes, self._assumed = guess.position, self._nodes, disturbance
-        x, u = guess.rows[nodes, : 2 * guess.n].T, guess.rows[nodes, 2 * guess.n :].T
-        self.program.prepare(x, u, disturbance, node_s)
+        self._guess, self._assumed = guess, disturbance
+        nodes, states = guess.rows[self._nodes].T, 2 * len(disturbance)
+        self.program.prepare(nodes[:states], nodes[states:], disturbance, node_s)
         self._prepare_us = (time.perf_counter() - began) * 1e6
 
     def solve(
@@ -83,7 +83,7 @@ class Mpc:
         start: (2n,) the state there; disturbance: (n,), as estimated by now; reference: (N+1, 2n)
         states at the nodes; committed_torque: (n,) motor torque there, zero on passive axes.
         """
-        self.encoder.commit(remotes, commit_knot, self._along, start, disturbance)
+        self.encoder.commit(remotes, commit_knot, self._guess, start, disturbance)
         ends = committed_torque, self.program.gravity - disturbance
         done = self.program.feedback(start, disturbance, reference.T, *ends)
         if done.status == OSQP_SIGINT:

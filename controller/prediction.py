@@ -115,8 +115,9 @@ class Prediction:
 
     def given(self, x: Array, tracks: Array) -> Array:
         """The servos' torques (n,) at a state (2n,) under the tracks there (5n,)."""
-        self._given.inputs[0].T[...], self._given.inputs[1].T[...] = x, tracks
-        return self._given.run()[0][:, 0].copy()
+        call = self._given
+        call.inputs[0][:, 0], call.inputs[1][:, 0] = x, tracks
+        return call.run()[0][:, 0].copy()
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Motor torques (K+1, n) [Nm or N] of the motion at the horizon's knots by the model."""

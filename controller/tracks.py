@@ -130,15 +130,15 @@ class Encoder:
         points from knot - 1 on, by driven axis and sink, and their roll-out."""
         for name in ("position", "velocity", "torque"):
             self.pool[name][...] = getattr(motion, name).T
-        self.commit(remotes, knot, motion.position, start, disturbance)
+        self.commit(remotes, knot, motion, start, disturbance)
         self.encoding.run()
         return self.points(), self.rolled()
 
     def commit(
-        self, remotes: list[Remote], knot: int, position: Array, start: Array, disturbance: Array
+        self, remotes: list[Remote], knot: int, along: Motion, start: Array, disturbance: Array
     ) -> None:
         """Takes over what the devices have from `knot` - 1 on: the first three points of each
-        track. Gains follow `position` (K+1, n), which need not be the motion to the last bit."""
+        track. Gains go with `along`, which need not be the motion to the last bit."""
         pool = self.pool
         if remotes is not self._of:
             self._of = remotes
@@ -147,7 +147,7 @@ class Encoder:
             self._course = self._gains.course(tracks, self._units)
         self._course.points(knot - 1, start[: self._n], pool["r0"], pool["f0"])
         if self._gains.sinks:
-            self._gain_points = self.gain_points(position, remotes, knot)
+            self._gain_points = self.gain_points(along.position, remotes, knot)
             pool["feedback"][...] = self._gains_along().T
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
 

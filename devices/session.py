@@ -96,12 +96,11 @@ class Session:
         """A frame's type and payload, or why it was not opened."""
         if self._session is None:
             return "no session"
-        newest = self._session.received
-        opened = self._session.open(packet)
-        if isinstance(opened, tuple):
-            self._asking = False
+        session = self._session
+        newest, opened = session.received, session.open(packet)
+        if type(opened) is tuple:
+            self._asking, self._overtaken = False, session.received == newest
             self._opened += 1
-            self._overtaken = self._session.received == newest
         return opened
 
 

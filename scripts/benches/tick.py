@@ -1,6 +1,7 @@
 """What a tick costs around its compiled calls, in closed loop: of arm2's ticks and of arm6's.
 
-Time is the thread's. Compiled calls are `prepare` and `feedback` of controller/program.py, with all
+Time is the thread's; the simulated link's, which no machine has, is left out. Compiled calls
+are `prepare` and `feedback` of controller/program.py, with all
 that they write into their arrays; the estimator's filter counts as Python. A tick whose samples
 came late, so that the filter goes over later ones again, is told apart: of those with more than the
 median number of such rows. To ask that clock is a call of the system: what the measuring itself
@@ -24,11 +25,14 @@ from headway.controller.loop import Loop
 from headway.controller.program import Program
 from headway.controller.record.recorder import Memory
 from headway.sim import lockstep
+from headway.sim.link import SimLink
 from headway.sim.lockstep import Lockstep
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 GOALS_US = {"arm2": 120, "arm6": 200}
 PARTS: dict[str, tuple[type, str]] = {
+    "arrive": (SimLink, "receive"),
+    "leave": (SimLink, "send"),
     "read": (Loop, "read"),
     "tick": (Loop, "tick"),
     "estimate": (Loop, "_estimate"),
@@ -99,13 +103,20 @@ def main() -> None:
         replayed = np.array([tick["replayed"] for tick in ticks])
         late = replayed > np.median(replayed)
         parts = {
-            "read": lambda t: t["read"],
+            "read": lambda t: t["read"] - t["arrive"],
             "estimate": lambda t: t["estimate"],
             "the rest of the decision": lambda t: t["tick"] - t["estimate"] - t["feedback"],
-            "write, and the next problem's guess": lambda t: t["write"] - t["prepare"],
+            "write, and the next problem's guess": lambda t: t["write"] - t["leave"] - t["prepare"],
             "record": lambda t: t["record"],
             "all around the compiled calls": lambda t: (
-                t["read"] + t["tick"] + t["write"] + t["record"] - t["feedback"] - t["prepare"]
+                t["read"]
+                + t["tick"]
+                + t["write"]
+                + t["record"]
+                - t["arrive"]
+                - t["leave"]
+                - t["feedback"]
+                - t["prepare"]
             ),
         }
         for name, part in parts.items():
