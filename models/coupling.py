@@ -27,6 +27,7 @@ class Coupling:
                 "machine.coupling: some axes together move no joint: no row may depend on others"
             )
         self.joints_by_axes: Array = np.linalg.inv(self.axes_by_joints)
+        self._none = np.array_equal(self.axes_by_joints, np.eye(len(self.axes_by_joints)))
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[float]] | None, count: int) -> Coupling:
@@ -40,6 +41,8 @@ class Coupling:
 
     def axes(self, joints: Array) -> Array:
         """The other way."""
+        if self._none:  # most machines, each simulated millisecond
+            return joints
         rows: Array = joints @ self.axes_by_joints.T
         return rows
 

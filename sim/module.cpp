@@ -210,6 +210,16 @@ static std::tuple<int32_t, int32_t, int32_t> setpoint(Node &n, int64_t time_us) 
     return {track_value(position, &at), track_rate(position, &at), track_value(torque, &at)};
 }
 
+static int64_t system_us(Node &n, int64_t true_us) {
+    return clock_at(&n->device.clock, board_count_at(&n->board, true_us));
+}
+
+static auto truth(Node &n, int64_t true_us, int64_t time_us) {
+    const servo &s = n->device.servo;
+    return std::tuple_cat(setpoint(n, time_us),
+                          std::tuple(s.torque_tq, s.unclipped_tq, system_us(n, true_us) - time_us));
+}
+
 NB_MODULE(_board, m) {
     nb::module_::import_("headway.firmware._core"); // Python's type for the settings
     m.attr("RECORD_SETTINGS_A") = (int)RECORD_SETTINGS_A;
@@ -377,10 +387,6 @@ NB_MODULE(_board, m) {
         .def_prop_ro("torque_tq", [](Node &n) { return n->device.servo.torque_tq; })
         .def_prop_ro("unclipped_tq", [](Node &n) { return n->device.servo.unclipped_tq; })
         .def_prop_ro("status", [](Node &n) { return n->device.status; })
-        .def(
-            "system_us",
-            [](Node &n, int64_t true_us) {
-                return clock_at(&n->device.clock, board_count_at(&n->board, true_us));
-            },
-            "true_us"_a);
+        .def("system_us", &system_us, "true_us"_a)
+        .def("truth", &truth, "true_us"_a, "time_us"_a);
 }

@@ -55,6 +55,8 @@ class Plant:
         self.model = driven_model(path, machine, servo_period_us, start)
         self._vary(machine, config)
         self.data = mujoco.MjData(self.model)
+        # Views of what MuJoCo has: to ask it for them takes longer than to read them.
+        self._q, self._v, self._effort = self.data.qpos, self.data.qvel, self.data.actuator_force
         self.step_us = round(self.model.opt.timestep * 1e6)
         self._warnings = [self.data.warning[kind] for kind in DIVERGED]
         self.nodes: list[_board.Node] = []
@@ -103,22 +105,22 @@ class Plant:
     @property
     def position(self) -> NDArray[np.float64]:
         """True positions of the axes [rad or m]."""
-        return self._coupling.axes(self.data.qpos[self._qpos])
+        return self._coupling.axes(self._q[self._qpos])
 
     @position.setter
     def position(self, value: NDArray[np.float64]) -> None:
-        self.data.qpos[self._qpos] = self._coupling.joints(value)
+        self._q[self._qpos] = self._coupling.joints(value)
 
     @property
     def velocity(self) -> NDArray[np.float64]:
         """True velocities of the axes [rad/s or m/s]."""
-        return self._coupling.axes(self.data.qvel[self._dof])
+        return self._coupling.axes(self._v[self._dof])
 
     @property
     def torque(self) -> NDArray[np.float64]:
         """Torque (or force) of motor and brake [Nm or N], by axis."""
         torque = np.zeros(len(self._dof))
-        torque[: len(self._actuator)] = self.data.actuator_force[self._actuator]
+        torque[: len(self._actuator)] = self._effort[self._actuator]
         return torque
 
     def set_bridge(self, capacitance_F: float) -> None:

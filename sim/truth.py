@@ -18,11 +18,8 @@ def note_truth(
     the task wants then, NaN where nobody knows."""
     truth = plant.position, plant.velocity, plant.torque, reference
     record.add(("truth", system_us, truth))
-    servos = [
-        (*node.setpoint(system_us), node.torque_tq, node.unclipped_tq,
-         node.system_us(plant.true_us) - system_us)
-        for node in plant.nodes
-    ]  # fmt: skip
+    true_us = plant.true_us
+    servos = [node.truth(true_us, system_us) for node in plant.nodes]
     nobody = (0, 0, 0, 0, 0, 0)  # on an axis without a board
     servos += [nobody] * (len(reference) - len(servos))
     record.add(("servo", system_us, tuple(zip(*servos, strict=True))))
