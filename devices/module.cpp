@@ -166,7 +166,20 @@ static void append(std::vector<nb::object> &kept, const std::vector<nb::object> 
 
 static void bind_course(nb::module_ &m) {
     using Tracks = std::vector<nb::object>;
-    nb::class_<Along>(m, "Along", "What devices execute, as a function of system time.");
+    nb::class_<Along>(m, "Along", "What devices execute, as a function of system time.")
+        .def(
+            "at",
+            [](const Along &course, Instants times_us, Vector near) {
+                size_t count = times_us.shape(0);
+                if (count == 0 || 5 * near.size() != course.width())
+                    throw std::invalid_argument("no times, or another number of axes");
+                std::vector<double> rows(count * course.width());
+                course.at(times_us.data(), count, near.data(), rows.data());
+                return array(std::move(rows), {count, course.width()});
+            },
+            "times_us"_a, "near"_a,
+            "Rows (m, 5n) at system times (m,), close together. near (n,): where the axes are at "
+            "the first of them, give or take some turns.");
     nb::class_<Kept, Along>(m, "Course",
                             "What the devices execute, as far as the host knows, in SI.")
         .def(
@@ -210,19 +223,6 @@ static void bind_course(nb::module_ &m) {
             "axes: those with a motor; the next five lists are of these. still: a row [r, r', f, "
             "Kp, Kd + c] (5n), of which `at` replaces what tracks tell. The last five lists are of "
             "gain tracks, or empty.")
-        .def(
-            "at",
-            [](const Kept &course, Instants times_us, Vector near) {
-                size_t count = times_us.shape(0);
-                if (count == 0 || near.size() != course.axes())
-                    throw std::invalid_argument("no times, or another number of axes");
-                std::vector<double> rows(count * course.width());
-                course.at(times_us.data(), count, near.data(), rows.data());
-                return array(std::move(rows), {count, course.width()});
-            },
-            "times_us"_a, "near"_a,
-            "Rows (m, 5n) at system times (m,), close together. near (n,): where the axes are at "
-            "the first of them, give or take some turns.")
         .def(
             "points",
             [](const Kept &course, int64_t first_knot, Vector near, Columns position,
