@@ -3,10 +3,11 @@
 An extended Kalman filter over z = [q, v, d] (d: disturbance torque, a random walk) whose process is
 the machine with its servo loops. Samples are kept in order of their stamps, with the filter's state
 after each (history.cpp); one that comes late is put in its place and the later ones are replayed,
-so the estimate does not depend on the order of arrival. An axis without an encoder has no samples:
-it is estimated by what it does to the others (observable.py). The filter (filter.cpp) is compiled
-and does a whole update in one call; process noise: white acceleration (Bar-Shalom, Li, Kirubarajan,
-Estimation with Applications, 2001, section 6.2).
+so the estimate does not depend on the order of arrival. The filter steps to the first instant of a
+fixed grid's cell and reads all samples of the cell from there, along the velocity then. An axis
+without an encoder has no samples: it is estimated by what it does to the others (observable.py).
+The filter (filter.cpp) is compiled and does a whole update in one call; process noise: white
+acceleration (Bar-Shalom, Li, Kirubarajan, Estimation with Applications, 2001, section 6.2).
 """
 
 from __future__ import annotations

@@ -122,10 +122,10 @@ def test_what_is_no_plan_is_not_taken_to_be_under_way(shape: tuple[int, int]) ->
     assert not holding.track(0).written and holding.waiting_since_us > 2**62
 
 
-def tracks_of(seed: int, count: int) -> list[_core.Track]:
+def tracks_of(seed: int, count: int, most: int = 500) -> list[_core.Track]:
     rng, tracks = np.random.default_rng(seed), [_core.Track() for _ in range(count)]
     for track in tracks:
-        track.write(-2, np.cumsum(rng.integers(-500, 500, 60)).astype(np.int32))
+        track.write(-2, np.cumsum(rng.integers(-most, most, 60)).astype(np.int32))
     return tracks
 
 
@@ -179,13 +179,14 @@ def test_a_course_is_its_tracks_in_si(seed: int, continuous: bool, near: float) 
     np.testing.assert_allclose(r0[0], position[0].points(5, 3) / pq[0])
     for i in range(2):
         np.testing.assert_allclose(f0[i], torque[i].points(5, 3) / tq[i])
-    gains = tracks_of(seed + 2, 4)
+    gains = tracks_of(seed + 2, 4, most=1 << 23)  # below zero and beyond what a servo takes, too
     per, emf = np.array([[0.5, 3.0], [0.25, 2.0]]), np.array([0.1, 0.7])
     scheduled = Course([0, 2], *quanta, gains[:2], gains[2:], *per, emf)
     more = scheduled.at(times_us, np.array([0.0, 0.0, near]))
     assert np.array_equal(more[:, :9], rows[:, :9])
     for i, axis in enumerate((0, 2)):
-        kp, kd = (np.maximum(gains[i + 2 * k].evaluate(times_us, 12)[0] // 256, 0) for k in (0, 1))
+        values = (gains[i + 2 * k].evaluate(times_us, 12)[0] for k in (0, 1))
+        kp, kd = (np.clip(value // 256, 0, 65535) for value in values)
         np.testing.assert_allclose(more[:, 9 + axis], kp * per[0, i])
         np.testing.assert_allclose(more[:, 12 + axis], kd * per[1, i] + emf[i])
     assert np.array_equal(more[:, [10, 13]], rows[:, [10, 13]])
