@@ -34,8 +34,8 @@ GRIDS = 24, 16, 12, 8
 CONVERGED = "mpc.backend=hpipm", "mpc.sqp_iterations=8"
 SOLVERS = "osqp", "hpipm", "riccati", "acados"
 CLOCKS = "cpu", "wall"
-# Within which a plan is believed, as ocp.py has it: shares of torque, speed and change of speed;
-# soft limits [rad or m]; speed at rest.
+# Within which a plan is believed, as ocp.py has it: shares of torque, speed and acceleration; soft
+# limits [rad or m]; speed at rest.
 BELIEVED = TORQUE_TOLERANCE_SHARE, 5e-3, 5e-3, POSITION_TOLERANCE, VELOCITY_TOLERANCE
 PARTS = "linearize", "solve", "feedback", "tick"
 
@@ -104,13 +104,14 @@ def time_rows(name: str, solver: str, of: Lane) -> list[dict[str, Any]]:
 
 def quality_row(name: str, solver: str, of: Lane) -> dict[str, Any]:
     """What the loop made of it. Limits: of the plans, in percent of the limit beyond it."""
-    torque, speed, change, soft, end = np.max(of.over, axis=0)
+    torque, speed, acceleration, soft, end = np.max(of.over, axis=0)
     return {
         "problem": name, "solver": solver, "N": of.intervals,
         "p50 us": float(np.median(times(of)["tick"])),
         "cost": float(np.mean(of.costs)),
         "torque %": 100 * max(float(torque), 0.0), "speed %": 100 * max(float(speed), 0.0),
-        "change %": 100 * max(float(change), 0.0), "soft [mrad]": 1e3 * max(float(soft), 0.0),
+        "acceleration %": 100 * max(float(acceleration), 0.0),
+        "soft [mrad]": 1e3 * max(float(soft), 0.0),
         "speed at rest": float(end),
         "iterations": float(np.median([reply.iterations for reply in of.replies])),
         "unconverged %": 100 * float(np.mean([not reply.good for reply in of.replies])),

@@ -107,7 +107,8 @@ class Solver:
     disturbance is the same with as much less torque. A first stage of no length leads from the
     committed torque to the plan's first one: acados 0.2 takes all of the first state as given.
 
-    The limit on the change of speed from node to node is left out, which is to its advantage.
+    Limits of acceleration and of the speed half-way between nodes are left out, which is to its
+    advantage: its speeds are limited at the nodes.
     """
 
     def __init__(self, problem: Any, intervals: int, knots: int, settings: Settings) -> None:
