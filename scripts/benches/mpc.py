@@ -103,7 +103,8 @@ def time_rows(name: str, solver: str, of: Lane) -> list[dict[str, Any]]:
 
 
 def quality_row(name: str, solver: str, of: Lane) -> dict[str, Any]:
-    """What the loop made of it. Limits: of the plans, in percent of the limit beyond it."""
+    """What the loop made of it. Limits: of the plans, in percent of the limit beyond it; of speed
+    and acceleration it is the machine's, of which a plan may have a share, for the same reasons."""
     torque, speed, acceleration, soft, end = np.max(of.over, axis=0)
     return {
         "problem": name, "solver": solver, "N": of.intervals,

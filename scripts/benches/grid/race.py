@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from grid.reply import Reply
 from grid.world import Problem, World
 from headway.configs.section import by_axis
-from headway.controller.ocp import Limits
+from headway.controller.ocp import ACCELERATION_SHARE, SPEED_SHARE, Limits
 
 Array = NDArray[np.float64]
 
@@ -89,11 +89,14 @@ class Lane:
         step = (reply.u[:, 0] - committed) * self._steps
         self.costs.append(float(error**2 @ self._weight + step**2 @ self._step_weight))
         x, u, h = reply.x, reply.u[self._driven], self._node_s[1] - self._node_s[0]
-        v, most = x[n:][self._driven], (limits.acceleration * h)[:, None]
+        v = x[n:][self._driven]
+        # The machine's own limits, of which a plan may have a share.
+        fastest = limits.velocity[:, None] / SPEED_SHARE
+        most = limits.acceleration[:, None] * h / ACCELERATION_SHARE
         # Of the cubic from node to node, once it is free: speeds half-way; h times accelerations.
         lever, begins, ends = np.diff(x[:n][self._driven])[:, 1:] * 6 / h, v[:, 1:-1], v[:, 2:]
         half_way = (lever - begins - ends) / 4
-        speed = np.abs(np.hstack((v[:, 1:], half_way))) / limits.velocity[:, None]
+        speed = np.abs(np.hstack((v[:, 1:], half_way))) / fastest
         acceleration = np.abs(lever - 4 * begins - 2 * ends) / most
         ahead = x[:n] + limits.approach_s[:, None] * x[n:]
         beyond = np.maximum(ahead - limits.soft_max[:, None], limits.soft_min[:, None] - ahead)
@@ -106,7 +109,7 @@ class Lane:
         ]))  # fmt: skip
         self.active += bool(
             (np.abs(u) > 0.999 * limits.torque.T).any()
-            or (speed > 0.999).any()
+            or (speed > 0.999 * SPEED_SHARE).any()
             or (beyond[:, 1:] > -1e-4).any()
         )
 
