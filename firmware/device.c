@@ -16,6 +16,7 @@ void device_locate(struct device *device) {
 
 void device_configure(struct device *device, const struct device_settings *settings) {
     device->settings = *settings;
+    device->law = settings->servo;
     device->offset_count = settings->offset_count;
     device_locate(device); // what is asked for next may rely on it
     device->brake_periods = settings->brake_periods;
@@ -85,16 +86,16 @@ static void watch(struct device *device, const struct board *board, uint32_t cou
     struct observation seen; // field by field: else all of it is set to 0 first
     seen.count = device->encoder_count;
     seen.position_pq = device->position_pq;
-    seen.setpoint_pq = device->setpoint.position_pq;
     seen.servo = &device->servo;
-    seen.torque_limit_tq = device->settings.servo.torque_limit_tq;
     seen.late_us = late_us;
     seen.power = device->power;
     seen.driven = device->power && device->trusted;
     seen.bounded = device->status.homed && device->state != DEVICE_HOLD; // which rests anyhow
-    seen.may_stand = may_stand(device);
     seen.looks = duties & LOOKS;
-    if (seen.looks != 0) {
+    if (seen.looks != 0) { // of what they alone judge
+        seen.setpoint_pq = device->setpoint.position_pq;
+        seen.torque_limit_tq = device->law.torque_limit_tq;
+        seen.may_stand = may_stand(device);
         bool all = duties == DUTIES;
         seen.heat_shift = all ? 0 : DEVICE_TURNS_SHIFT;
         seen.stuck_periods = all ? 1 : DEVICE_TURNS / 2;
@@ -187,8 +188,8 @@ void device_report(struct device *device, struct board *board) {
 }
 
 // What few logics read. Apart, and called.
-static APART void read_more(struct device *device, const struct board *board,
-                            const struct instant *now, uint32_t reads) {
+static RARE void read_more(struct device *device, const struct board *board,
+                           const struct instant *now, uint32_t reads) {
     int32_t *values = device->signals.values;
     for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
         if (reads >> sink & 1)

@@ -63,6 +63,9 @@ enum device_duty {
 
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
+    struct servo_settings law; // of the settings
+    struct setpoint setpoint;  // of the last period: position, velocity and torque
+    struct servo servo;
     enum device_state state;
     uint32_t next_servo_us; // local count of the next servo period
     uint16_t sample_wait;   // servo periods until the next sample
@@ -84,13 +87,11 @@ struct device {
     uint32_t stop_count_us; // count at the fault or emergency stop
     uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
     bool faults_unsaved;
-    uint8_t ahead;            // the track whose next span was made last
-    int64_t status_knot;      // knot of the last status
-    int64_t accepted_knot;    // knot in which the last plan was accepted
-    int64_t start_knot;       // of the first plan
-    struct setpoint setpoint; // of the last one: position, velocity and torque
+    uint8_t ahead;         // the track whose next span was made last
+    int64_t status_knot;   // knot of the last status
+    int64_t accepted_knot; // knot in which the last plan was accepted
+    int64_t start_knot;    // of the first plan
     struct headway_clock clock;
-    struct servo servo;
     struct monitor monitor;
     struct guard guard; // what judges beside all this
     struct device_settings settings;

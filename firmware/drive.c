@@ -17,8 +17,7 @@ enum source {
 };
 
 // Inlined where it is called: a call would cost as much as the polynomial.
-static inline __attribute__((always_inline)) int32_t value(struct track *track,
-                                                           const struct instant *at) {
+static INLINE int32_t value(struct track *track, const struct instant *at) {
     return span_value(track_span(track, at->knot), at->phase);
 }
 
@@ -33,7 +32,7 @@ static APART void find_gain(struct scale *gain, struct track *track, const struc
 }
 
 static void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
-    const struct servo_settings *servo = &device->settings.servo;
+    const struct servo_settings *servo = &device->law;
     struct setpoint *setpoint = &device->setpoint;
     struct track *tracks = device->tracks;
     if (duties & DUTY_KP)
@@ -47,15 +46,15 @@ static void find_gains(struct device *device, const struct instant *now, uint32_
 // What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
 static APART int32_t accelerating(const struct device *device, const struct instant *now) {
     const struct device_settings *settings = &device->settings;
-    struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
+    struct instant ahead = instant_after(now, device->law.ahead_us, settings->knot_shift);
     int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
-    return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
+    return fixed_scale_within(curve_pq, device->law.acceleration_tq, ACCELERATION_BITS);
 }
 
 static void from_tracks(struct device *device, const struct instant *now,
                         struct setpoint *setpoint) {
     const struct device_settings *settings = &device->settings;
-    const struct servo_settings *servo = &settings->servo;
+    const struct servo_settings *servo = &device->law;
     struct track *tracks = device->tracks;
     uint32_t duties = device->duties;
     // The output holds for a while: the least that feed-forward leads by is half of it.
@@ -85,7 +84,7 @@ struct pose {
 
 // There, with the settings' gains.
 static void at(const struct device *device, struct pose pose, struct setpoint *setpoint) {
-    const struct servo_settings *servo = &device->settings.servo;
+    const struct servo_settings *servo = &device->law;
     setpoint->position_pq = pose.position_pq;
     setpoint->velocity_pq = fixed_scale(pose.period_pq, device->settings.knot_periods);
     setpoint->torque_tq = pose.torque_tq;
@@ -101,7 +100,7 @@ static bool ramps(const struct device *device, uint32_t count_us) {
     return device->power && device->trusted && !device->brake && !device->ramp.resting && !forced;
 }
 
-static APART enum source source_beside(const struct device *device, uint32_t count_us) {
+static RARE enum source source_beside(const struct device *device, uint32_t count_us) {
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
@@ -161,7 +160,7 @@ static void switch_off(struct device *device) {
     device->power = false;
 }
 
-static APART void set_brake(struct device *device, bool on) {
+static RARE void set_brake(struct device *device, bool on) {
     if (device->brake != on)
         device->brake_periods = 0;
     else if (device->brake_periods < device->settings.brake_periods)
@@ -231,7 +230,7 @@ static struct pose run_ramp(struct device *device) {
 }
 
 // Where there are no tracks to follow. Apart, and called: so the servo's setpoint stays in registers.
-static APART struct pose lead(struct device *device, struct board *board, enum source source) {
+static RARE struct pose lead(struct device *device, struct board *board, enum source source) {
     if (source == SOURCE_RAMP)
         return run_ramp(device);
     if (source == SOURCE_TASK)
@@ -239,7 +238,7 @@ static APART struct pose lead(struct device *device, struct board *board, enum s
     return (struct pose){device->hold_pq, 0, device->hold_tq};
 }
 
-static APART void find_beside(struct device *device, struct board *board, enum source source) {
+static RARE void find_beside(struct device *device, struct board *board, enum source source) {
     struct setpoint *setpoint = &device->setpoint;
     device->executes = false;
     at(device, lead(device, board, source), setpoint);
@@ -302,7 +301,7 @@ static APART void switch_outputs(struct device *device, struct board *board) {
     board_set_chopper(board, device->monitor.chopper);
 }
 
-static APART void save_faults(struct device *device, struct board *board) {
+static RARE void save_faults(struct device *device, struct board *board) {
     store_save_faults(board, &device->faults);
     device->faults_unsaved = false;
 }
@@ -317,11 +316,8 @@ void drive(struct device *device, struct board *board, const struct instant *now
         step(device, board, source);
     } else if (device->power && source != SOURCE_NONE) {
         struct setpoint *setpoint = &device->setpoint;
-        const struct servo_settings *settings = &device->settings.servo;
+        const struct servo_settings *settings = &device->law;
         struct servo *servo = &device->servo;
-        NEAR(settings);
-        NEAR(servo);
-        NEAR(setpoint);
         if (source == SOURCE_TRACKS)
             from_tracks(device, now, setpoint);
         else

@@ -16,11 +16,11 @@
 #define TRACK_PAST_KNOTS (TRACK_POINTS - 2) // from a past time to the end, at most
 
 struct track {
+    struct span spans[2]; // of two knots, an even one and an odd one
     bool written;
     int64_t end; // knot of the last point
     int32_t points[TRACK_POINTS];
-    struct span spans[2]; // of two knots, an even one and an odd one
-    int64_t oldest;       // knot of the oldest point that is left of what was written
+    int64_t oldest; // knot of the oldest point that is left of what was written
 };
 
 // A time on the grid: the knot whose interval it is in, and how far in, in 1/65536 of it.
