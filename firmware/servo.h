@@ -56,7 +56,7 @@ struct servo {
     int32_t torque_tq;      // after the ceiling
     int32_t clipped;        // torque ceiling reached, or not: 0
     int32_t saturated;      // that, or the voltage, or not: 0
-    int32_t effort_tq;      // its magnitudes, summed since its heat was judged
+    int32_t effort_tq;      // magnitudes of torques, summed since their heat was judged
 };
 
 // Where an encoder count is: exact for counts within +-2^20; beyond, modulo 2^32 pq for an axis that
