@@ -53,7 +53,9 @@ static void carry(struct bounds_side *side, const struct bounds_limits *limits,
     side->skew_q32 -= wandered_q32;
     if (side->skew_q32 < -limits->drift_q32)
         side->skew_q32 = -limits->drift_q32;
-    side->value_q16 += ((side->skew_q32 * elapsed_us) >> 16);
+    // In two parts: of some months the product would not fit.
+    side->value_q16 += side->skew_q32 * (elapsed_us >> 16);
+    side->value_q16 += (side->skew_q32 * (int64_t)(uint16_t)elapsed_us) >> 16;
 }
 
 // The same from one servo period to the next: 32 bits hold the skew, which is within the drift, and 16

@@ -27,7 +27,7 @@ int64_t clock_at(const struct headway_clock *clock, uint32_t count_us) {
 }
 
 // After a while. Apart, and called: from one servo period to the next it is brief.
-static APART void advance_far(struct headway_clock *clock, int32_t elapsed_us) {
+static RARE void advance_far(struct headway_clock *clock, int32_t elapsed_us) {
     int64_t fraction = (int64_t)clock->fraction_q32 + skewed_q32(clock, elapsed_us);
     clock->system_us += elapsed_us + (fraction >> 32);
     clock->fraction_q32 = (uint32_t)fraction;

@@ -16,6 +16,9 @@ void device_locate(struct device *device) {
 
 void device_configure(struct device *device, const struct device_settings *settings) {
     device->settings = *settings;
+    device->law = settings->servo;
+    device->watch.settings = settings->monitor;
+    device->ahead = (uint32_t)settings->servo.ahead_us << (16 - settings->knot_shift);
     device->offset_count = settings->offset_count;
     device_locate(device); // what is asked for next may rely on it
     device->brake_periods = settings->brake_periods;
@@ -51,7 +54,7 @@ int64_t device_knot_at(const struct device *device, int64_t time_us) {
 }
 
 bool device_at_rest(const struct device *device) {
-    int32_t speed_pq = monitor_speed_pq(&device->monitor);
+    int32_t speed_pq = monitor_speed_pq(&device->watch.monitor);
     return speed_pq < DEVICE_REST_PQ && speed_pq > -DEVICE_REST_PQ;
 }
 
@@ -79,33 +82,35 @@ static bool may_stand(const struct device *device) {
 }
 
 // The last period's motion, judged.
-static void watch(struct device *device, const struct board *board, uint32_t count_us,
-                  uint32_t late_us) {
+static void observe(struct device *device, const struct board *board, uint32_t count_us,
+                    uint32_t late_us) {
     uint32_t duties = device->duties;
+    struct watch *watch = &device->watch;
+    NEAR(watch);
     struct observation seen; // field by field: else all of it is set to 0 first
     seen.count = device->encoder_count;
     seen.position_pq = device->position_pq;
-    seen.setpoint_pq = device->setpoint.position_pq;
     seen.servo = &device->servo;
-    seen.torque_limit_tq = device->settings.servo.torque_limit_tq;
     seen.late_us = late_us;
     seen.power = device->power;
     seen.driven = device->power && device->trusted;
     seen.bounded = device->status.homed && device->state != DEVICE_HOLD; // which rests anyhow
-    seen.may_stand = may_stand(device);
     seen.looks = duties & LOOKS;
-    if (seen.looks != 0) {
+    if (seen.looks != 0) { // of what they alone judge
+        seen.setpoint_pq = device->setpoint.position_pq;
+        seen.torque_limit_tq = device->law.torque_limit_tq;
+        seen.may_stand = may_stand(device);
         bool all = duties == DUTIES;
         seen.heat_shift = all ? 0 : DEVICE_TURNS_SHIFT;
         seen.stuck_periods = all ? 1 : DEVICE_TURNS / 2;
         if (duties & DUTY_SUPPLY)
             seen.supply_mV = board_supply_mV(board);
     }
-    monitor_step(&device->settings.monitor, &device->monitor, &seen);
+    monitor_step(&watch->settings, &watch->monitor, &seen);
     if (duties & DUTY_HEAT)
         device->servo.effort_tq = 0;
-    if (device->monitor.breach.reason != REASON_NONE)
-        happen_breach(device, device->monitor.breach, count_us);
+    if (watch->monitor.breach.reason != REASON_NONE)
+        happen_breach(device, watch->monitor.breach, count_us);
 }
 
 // The guard has braked, and the monitor may not have seen why.
@@ -187,13 +192,15 @@ void device_report(struct device *device, struct board *board) {
 }
 
 // What few logics read. Apart, and called.
-static APART void read_more(struct device *device, const struct board *board,
-                            const struct instant *now, uint32_t reads) {
+static RARE void read_more(struct device *device, const struct board *board, int64_t knot,
+                           uint32_t phase) {
+    struct instant now = {knot, phase};
+    uint32_t reads = device->signals.reads;
     int32_t *values = device->signals.values;
     for (int32_t sink = TRACK_KP; sink <= TRACK_KD; sink++)
         if (reads >> sink & 1)
             values[sink] =
-                device->tracks[sink].written ? track_value(&device->tracks[sink], now) : 0;
+                device->tracks[sink].written ? track_value(&device->tracks[sink], &now) : 0;
     if (reads >> SOURCE_OF_INPUTS) {
         uint8_t inputs = board_digital_inputs(board);
         values[INPUT_POSITION] = fixed_sum(device->encoder_count, device->offset_count);
@@ -209,16 +216,14 @@ static APART void read_more(struct device *device, const struct board *board,
     }
 }
 
-static APART void run_signals(struct device *device, struct board *board,
-                              const struct instant *now) {
+static void run_signals(struct device *device, struct board *board, const struct instant *now) {
     struct signals *signals = &device->signals;
     NEAR(signals);
     int32_t *values = signals->values;
-    NEAR(values);
     values[TRACK_POSITION] = device->setpoint.position_pq;
     values[TRACK_TORQUE] = device->setpoint.torque_tq;
     if (signals->reads >> TRACK_KP != 0)
-        read_more(device, board, now, signals->reads);
+        read_more(device, board, now->knot, now->phase);
     bool live = device->sync.settled && device->state < DEVICE_FAULT;
     if (!device->sync.settled && signals->logic.feds != 0)
         values[INPUT_LAG] = FEED_UNKNOWN_MS;
@@ -229,8 +234,8 @@ static APART void run_signals(struct device *device, struct board *board,
 static void look_ahead(struct device *device, int64_t knot) {
     if (!(device->duties & DUTY_AHEAD))
         return;
-    device->ahead = device->ahead == 0 ? TRACK_COUNT - 1 : device->ahead - 1;
-    track_span(&device->tracks[device->ahead], knot + 1);
+    device->foreseen = device->foreseen == 0 ? TRACK_COUNT - 1 : device->foreseen - 1;
+    track_span(&device->tracks[device->foreseen], knot + 1);
 }
 
 // Whose turn it is: what takes long is alone. STUCK and SUPPLY come twice, as far apart.
@@ -286,11 +291,12 @@ static void run_period(struct device *device, struct board *board, uint32_t coun
     NEAR(clock);
     clock_advance(clock, count_us);
     take_turn(device);
-    steer(device, clock);
+    if (device->duties & (DUTY_CARRY | DUTY_COMPARE | DUTY_LEAD | DUTY_TELL))
+        steer(device, clock);
     int64_t time_us = device->clock.system_us;
     struct instant now = instant_at(time_us, device->settings.knot_shift);
     measure(device, board, time_us);
-    watch(device, board, count_us, late_us);
+    observe(device, board, count_us, late_us);
     follow(device, board, now.knot, count_us);
     heed_guard(device, count_us);
     drive(device, board, &now, count_us);

@@ -61,17 +61,28 @@ enum device_duty {
     DUTIES = (1 << 15) - 1,
 };
 
+// The monitor, and beside it what it allows, of the settings.
+struct watch {
+    struct monitor_settings settings;
+    struct monitor monitor;
+};
+
 // What every servo period touches comes first: a small core reaches 128 bytes at no cost.
 struct device {
     enum device_state state;
-    uint32_t next_servo_us; // local count of the next servo period
-    uint16_t sample_wait;   // servo periods until the next sample
-    bool takes_turns;       // its periods are short
-    uint8_t turn;           // of this period
-    uint16_t duties;        // of this period: bits of device_duty
-    int32_t encoder_count;  // as the board has it
-    int32_t offset_count;   // what it lacks to the axis' position
-    int32_t position_pq;    // measured
+    uint32_t duties;          // of this period: bits of device_duty
+    int32_t position_pq;      // measured
+    struct setpoint setpoint; // of the last period: position, velocity and torque
+    struct servo servo;
+    uint32_t next_servo_us;    // local count of the next servo period
+    uint32_t stop_count_us;    // count at the fault or emergency stop
+    int32_t encoder_count;     // as the board has it
+    int32_t offset_count;      // what it lacks to the axis' position
+    struct servo_settings law; // of the settings, where the servo reads it
+    uint32_t ahead;            // feed-forward's lead, of the same [1/65536 of a knot interval]
+    uint16_t sample_wait;      // servo periods until the next sample
+    bool takes_turns;          // its periods are short
+    uint8_t turn;              // of this period
     int32_t hold_pq, hold_tq;
     bool configured; // else it has no settings and no key, and does nothing
     bool power, brake;
@@ -81,17 +92,14 @@ struct device {
     bool executes;          // in its last period the servo followed its tracks
     bool status_waits;      // the last one has not left yet ...
     uint32_t status_us;     // ... and does at this count
-    uint32_t stop_count_us; // count at the fault or emergency stop
     uint16_t brake_periods; // since the brake was set or let go, up to the settings' own
     bool faults_unsaved;
-    uint8_t ahead;            // the track whose next span was made last
-    int64_t status_knot;      // knot of the last status
-    int64_t accepted_knot;    // knot in which the last plan was accepted
-    int64_t start_knot;       // of the first plan
-    struct setpoint setpoint; // of the last one: position, velocity and torque
+    uint8_t foreseen;      // the track whose next span was made last
+    int64_t status_knot;   // knot of the last status
+    int64_t accepted_knot; // knot in which the last plan was accepted
+    int64_t start_knot;    // of the first plan
     struct headway_clock clock;
-    struct servo servo;
-    struct monitor monitor;
+    struct watch watch;
     struct guard guard; // what judges beside all this
     struct device_settings settings;
     struct sync sync;

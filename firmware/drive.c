@@ -17,8 +17,7 @@ enum source {
 };
 
 // Inlined where it is called: a call would cost as much as the polynomial.
-static inline __attribute__((always_inline)) int32_t value(struct track *track,
-                                                           const struct instant *at) {
+static INLINE int32_t value(struct track *track, const struct instant *at) {
     return span_value(track_span(track, at->knot), at->phase);
 }
 
@@ -33,7 +32,7 @@ static APART void find_gain(struct scale *gain, struct track *track, const struc
 }
 
 static void find_gains(struct device *device, const struct instant *now, uint32_t duties) {
-    const struct servo_settings *servo = &device->settings.servo;
+    const struct servo_settings *servo = &device->law;
     struct setpoint *setpoint = &device->setpoint;
     struct track *tracks = device->tracks;
     if (duties & DUTY_KP)
@@ -45,37 +44,42 @@ static void find_gains(struct device *device, const struct instant *now, uint32_
 }
 
 // What the position track's acceleration takes. Apart, and called: most axes have a torque track for it.
-static APART int32_t accelerating(const struct device *device, const struct instant *now) {
-    const struct device_settings *settings = &device->settings;
-    struct instant ahead = instant_after(now, settings->servo.ahead_us, settings->knot_shift);
-    int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &ahead);
-    return fixed_scale_within(curve_pq, settings->servo.acceleration_tq, ACCELERATION_BITS);
+static APART int32_t accelerating(const struct device *device, int64_t knot, uint32_t phase) {
+    struct instant at = {knot, phase};
+    int32_t curve_pq = track_curve(&device->tracks[TRACK_POSITION], &at);
+    return fixed_scale_within(curve_pq, device->law.acceleration_tq, ACCELERATION_BITS);
+}
+
+// What stays as it is while tracks are followed.
+static RARE void begin_tracks(struct device *device) {
+    device->executes = true;
+    device->setpoint.feedback_limit_tq = SERVO_FEEDBACK_FREE;
+    device->setpoint.integrate = device->law.integrate_running;
 }
 
 static void from_tracks(struct device *device, const struct instant *now,
                         struct setpoint *setpoint) {
-    const struct device_settings *settings = &device->settings;
-    const struct servo_settings *servo = &settings->servo;
+    const struct servo_settings *servo = &device->law;
     struct track *tracks = device->tracks;
     uint32_t duties = device->duties;
     // The output holds for a while: the least that feed-forward leads by is half of it.
-    struct instant ahead = instant_after(now, servo->ahead_us, settings->knot_shift);
+    struct ahead ahead = instant_ahead(now, device->ahead);
     setpoint->position_pq = value(&tracks[TRACK_POSITION], now);
     if (duties & DUTY_SPEED)
         setpoint->velocity_pq =
-            span_rate(track_span(&tracks[TRACK_POSITION], ahead.knot), ahead.phase);
+            span_rate(track_span_ahead(&tracks[TRACK_POSITION], now, &ahead), ahead.phase);
     if (duties & DUTY_TORQUE) {
-        setpoint->torque_tq = value(&tracks[TRACK_TORQUE], &ahead);
+        setpoint->torque_tq =
+            span_value(track_span_ahead(&tracks[TRACK_TORQUE], now, &ahead), ahead.phase);
         if (servo->acceleration_tq.mantissa)
-            setpoint->torque_tq += accelerating(device, now);
+            setpoint->torque_tq += accelerating(device, now->knot + ahead.knots, ahead.phase);
     }
-    if (duties & (DUTY_KP | DUTY_KI | DUTY_KD))
-        find_gains(device, now, duties);
-    if (device->executes) // since it does, these are as they should be
-        return;
-    device->executes = true;
-    setpoint->feedback_limit_tq = SERVO_FEEDBACK_FREE;
-    setpoint->integrate = servo->integrate_running;
+    if (duties & (DUTY_KP | DUTY_KI | DUTY_KD)) {
+        struct instant at = *now; // `now` stays in registers: this copy is what goes to memory
+        find_gains(device, &at, duties);
+    }
+    if (!device->executes)
+        begin_tracks(device);
 }
 
 // A place beside the tracks, how it moves in a period, and the torque that is needed there.
@@ -85,7 +89,7 @@ struct pose {
 
 // There, with the settings' gains.
 static void at(const struct device *device, struct pose pose, struct setpoint *setpoint) {
-    const struct servo_settings *servo = &device->settings.servo;
+    const struct servo_settings *servo = &device->law;
     setpoint->position_pq = pose.position_pq;
     setpoint->velocity_pq = fixed_scale(pose.period_pq, device->settings.knot_periods);
     setpoint->torque_tq = pose.torque_tq;
@@ -101,7 +105,7 @@ static bool ramps(const struct device *device, uint32_t count_us) {
     return device->power && device->trusted && !device->brake && !device->ramp.resting && !forced;
 }
 
-static APART enum source source_beside(const struct device *device, uint32_t count_us) {
+static RARE enum source source_beside(const struct device *device, uint32_t count_us) {
     switch (device->state) {
     case DEVICE_ARMED:
         return device->home.task == TASK_NONE ? SOURCE_HOLD : SOURCE_TASK;
@@ -161,7 +165,7 @@ static void switch_off(struct device *device) {
     device->power = false;
 }
 
-static APART void set_brake(struct device *device, bool on) {
+static RARE void set_brake(struct device *device, bool on) {
     if (device->brake != on)
         device->brake_periods = 0;
     else if (device->brake_periods < device->settings.brake_periods)
@@ -201,7 +205,7 @@ static struct pose run_task(struct device *device, struct board *board) {
         }
         device->hold_pq = position_pq;
         home->task = TASK_NONE;
-        monitor_begin(&device->monitor);
+        monitor_begin(&device->watch.monitor);
     }
     struct pose pose = {position_pq, velocity_pq, device->hold_tq};
     if (result == TASK_FAILED) {
@@ -222,7 +226,7 @@ static struct pose run_ramp(struct device *device) {
         ramp_start(ramp, stepper->target_pq, fixed_difference(stepper->target_pq, stepper->now_pq),
                    device->hold_tq, device->hold_tq);
     else if (begins)
-        ramp_start(ramp, device->position_pq, monitor_speed_pq(&device->monitor),
+        ramp_start(ramp, device->position_pq, monitor_speed_pq(&device->watch.monitor),
                    device->setpoint.torque_tq, device->hold_tq);
     if (!begins || steps)
         ramp_step(ramp, settings->monitor.deceleration_q16, settings->torque_step_tq);
@@ -231,7 +235,7 @@ static struct pose run_ramp(struct device *device) {
 }
 
 // Where there are no tracks to follow. Apart, and called: so the servo's setpoint stays in registers.
-static APART struct pose lead(struct device *device, struct board *board, enum source source) {
+static RARE struct pose lead(struct device *device, struct board *board, enum source source) {
     if (source == SOURCE_RAMP)
         return run_ramp(device);
     if (source == SOURCE_TASK)
@@ -239,7 +243,7 @@ static APART struct pose lead(struct device *device, struct board *board, enum s
     return (struct pose){device->hold_pq, 0, device->hold_tq};
 }
 
-static APART void find_beside(struct device *device, struct board *board, enum source source) {
+static RARE void find_beside(struct device *device, struct board *board, enum source source) {
     struct setpoint *setpoint = &device->setpoint;
     device->executes = false;
     at(device, lead(device, board, source), setpoint);
@@ -291,7 +295,7 @@ static APART void step(struct device *device, struct board *board, enum source s
 }
 
 static uint8_t outputs(const struct device *device) {
-    return (uint8_t)(device->brake | device->power << 1 | device->monitor.chopper << 2);
+    return (uint8_t)(device->brake | device->power << 1 | device->watch.monitor.chopper << 2);
 }
 
 // When they change, and else now and then, in case that the board has lost one.
@@ -299,10 +303,10 @@ static APART void switch_outputs(struct device *device, struct board *board) {
     device->outputs = outputs(device);
     board_set_brake(board, device->brake);
     board_set_power(board, device->power);
-    board_set_chopper(board, device->monitor.chopper);
+    board_set_chopper(board, device->watch.monitor.chopper);
 }
 
-static APART void save_faults(struct device *device, struct board *board) {
+static RARE void save_faults(struct device *device, struct board *board) {
     store_save_faults(board, &device->faults);
     device->faults_unsaved = false;
 }
@@ -317,11 +321,8 @@ void drive(struct device *device, struct board *board, const struct instant *now
         step(device, board, source);
     } else if (device->power && source != SOURCE_NONE) {
         struct setpoint *setpoint = &device->setpoint;
-        const struct servo_settings *settings = &device->settings.servo;
+        const struct servo_settings *settings = &device->law;
         struct servo *servo = &device->servo;
-        NEAR(settings);
-        NEAR(servo);
-        NEAR(setpoint);
         if (source == SOURCE_TRACKS)
             from_tracks(device, now, setpoint);
         else

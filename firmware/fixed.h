@@ -41,8 +41,8 @@ static inline int32_t fixed_sum(int32_t a, int32_t b) {
     return (int32_t)((uint32_t)a + (uint32_t)b);
 }
 
-// a * b / 2^16, rounded down; exact in 48 bits, never overflows.
-static inline int32_t fixed_mul_q16(int32_t a, uint16_t b) {
+// a * b / 2^16, rounded down, b below 2^16; exact in 48 bits, never overflows.
+static inline int32_t fixed_mul_q16(int32_t a, uint32_t b) {
     int32_t high = (a >> 16) * (int32_t)b;
     uint32_t low = ((uint32_t)a & 0xffffu) * b;
     return high + (int32_t)(low >> 16);

@@ -49,19 +49,50 @@ enum graph_result graph_check(const struct logic_node *nodes, int32_t count, int
     return GRAPH_GOOD;
 }
 
-// Of what makes numbers, or looks at edges. Apart, and called: most nodes compare.
-static APART int32_t evaluate(const struct logic_node *node, const int32_t *values, bool held) {
+// Truths of numbers; low is not above high.
+static inline bool is_above(const struct logic_node *node, int32_t a, bool was) {
+    return a > node->high || (was && a >= node->low);
+}
+
+static inline bool is_within(const struct logic_node *node, int32_t a) {
+    return a >= node->low && a <= node->high;
+}
+
+static int32_t evaluate(const struct logic_node *node, const int32_t *values, bool was) {
     int32_t a = values[node->a];
     switch (node->kind) {
     case NODE_ADD:
         return fixed_clamp64((int64_t)a + values[node->b], INT32_MAX);
     case NODE_MULTIPLY:
         return fixed_clamp64(((int64_t)a * values[node->b]) >> 16, INT32_MAX);
+    case NODE_COMPARE:
+        return is_above(node, a, was);
+    case NODE_WINDOW:
+        return is_within(node, a);
     case NODE_GATE:
         return values[node->b] != 0 ? a : 0;
     default: // EDGE
-        return a != 0 && !held;
+        return a != 0 && !was;
     }
+}
+
+static inline uint32_t hold(uint32_t held, uint32_t bit, bool truth) {
+    return truth ? held | bit : held & ~bit;
+}
+
+// From the first node on that is more than a truth of a number; returns what is held. Apart, and
+// called once: what a loop calls would take registers that it needs.
+static APART uint32_t go_on(const struct graph *graph, int32_t *values, int32_t first,
+                            uint32_t held) {
+    for (int32_t i = first; i < graph->count; i++) {
+        const struct logic_node *node = &graph->nodes[i];
+        int32_t *value = &values[SOURCE_OF_NODES + i];
+        uint32_t bit = 1u << i;
+        if (node->kind != NODE_PAST) // that stands there already
+            *value = evaluate(node, values, held & bit);
+        held = hold(held, bit, (node->kind == NODE_EDGE ? values[node->a] : *value) != 0);
+    }
+    return held;
 }
 
 void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
@@ -69,20 +100,18 @@ void graph_step(struct graph *graph, int32_t values[GRAPH_VALUES]) {
     int32_t *out = values + SOURCE_OF_NODES;
     uint32_t held = graph->held;
     for (uint32_t bit = 1; node != end; node++, bit <<= 1) {
-        uint32_t was = held & bit;
-        int32_t a = values[node->a], value;
-        held -= was;
-        if (node->kind == NODE_COMPARE)
-            value = a > node->high || (was && a >= node->low);
-        else if (node->kind == NODE_WINDOW)
-            value = a >= node->low && a <= node->high;
-        else if (node->kind == NODE_PAST)
-            value = *out; // stands there already
-        else
-            value = evaluate(node, values, was);
-        *out++ = value;
-        if (node->kind == NODE_EDGE ? a != 0 : value != 0)
-            held += bit;
+        int32_t a = values[node->a];
+        bool truth;
+        if (node->kind == NODE_COMPARE) {
+            truth = is_above(node, a, held & bit);
+        } else if (node->kind == NODE_WINDOW) {
+            truth = is_within(node, a);
+        } else {
+            held = go_on(graph, values, (int32_t)(node - graph->nodes), held);
+            break;
+        }
+        *out++ = truth;
+        held = hold(held, bit, truth);
     }
     graph->held = (uint16_t)held;
 }

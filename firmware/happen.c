@@ -104,7 +104,7 @@ bool happen(struct device *device, enum device_event event) {
     if (!(executes(from) && executes(to))) { // another setpoint, from here on
         bool held = to == DEVICE_ARMED || to == DEVICE_HOLD;
         device->setpoint.position_pq = held ? device->hold_pq : device->position_pq;
-        monitor_begin(&device->monitor);
+        monitor_begin(&device->watch.monitor);
     }
     return true;
 }

@@ -1,9 +1,14 @@
 #include "history.h"
+#include "near.h" // pointers
 
 void history_push(struct history *history, int64_t time_us, int32_t count) {
+    NEAR(history);
     if (history->taken - history->reported >= HISTORY_SAMPLES)
         history->lost++;
-    history->samples[history->taken++ % HISTORY_SAMPLES] = (struct sample){time_us, count};
+    struct sample *sample = &history->samples[history->taken++ % HISTORY_SAMPLES];
+    NEAR(sample);
+    sample->time_us = time_us;
+    sample->count = count;
 }
 
 void history_flush(struct history *history) {

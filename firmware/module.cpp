@@ -611,13 +611,13 @@ static void bind_kernels(nb::module_ &m) {
         .def_rw("integral", &servo::integral)
         .def_ro("torque_tq", &servo::torque_tq)
         .def_ro("unclipped_tq", &servo::unclipped_tq)
-        .def_ro("saturated", &servo::saturated)
+        .def_prop_ro("saturated", [](servo &s) { return s.saturated != 0; })
         .def(
             "step",
             [](servo &s, const servo_settings &settings, int32_t position_pq, int32_t velocity_pq,
                int32_t torque_tq, int32_t encoder_count, bool integrate) {
-                setpoint target{position_pq,    velocity_pq,    torque_tq,           settings.kp_tq,
-                                settings.ki_tq, settings.kd_tq, SERVO_FEEDBACK_FREE, integrate};
+                setpoint target{settings.kp_tq, settings.ki_tq, settings.kd_tq,      position_pq,
+                                velocity_pq,    torque_tq,      SERVO_FEEDBACK_FREE, integrate};
                 return servo_step(&settings, &s, &target, servo_position_pq(encoder_count, false));
             },
             "settings"_a, "position_pq"_a, "velocity_pq"_a, "torque_tq"_a, "encoder_count"_a,
@@ -746,7 +746,9 @@ static void bind_stops(nb::module_ &m) {
         .def_rw("torque_tq", &Observation::torque_tq)
         .def_rw("torque_limit_tq", &Observation::torque_limit_tq)
         .def_rw("feedback_tq", &Observation::feedback_tq)
-        .def_rw("clipped", &Observation::clipped)
+        .def_prop_rw(
+            "clipped", [](const Observation &o) { return o.clipped != 0; },
+            [](Observation &o, bool clipped) { o.clipped = clipped; })
         .def_rw("supply_mV", &Observation::supply_mV)
         .def_rw("late_us", &Observation::late_us)
         .def_rw("power", &Observation::power)

@@ -16,8 +16,8 @@ void monitor_begin(struct monitor *monitor) {
 
 // Of two that one period found: the one with the sterner response, else the first. Apart, and called:
 // what hardly ever happens is not to make way for what always does.
-static APART void found(struct monitor *monitor, enum fault_reason reason, int32_t value,
-                        int32_t limit) {
+static RARE void found(struct monitor *monitor, enum fault_reason reason, int32_t value,
+                       int32_t limit) {
     struct breach *worst = &monitor->breach;
     if (worst->reason != REASON_NONE && fault_response(reason) <= fault_response(worst->reason))
         return;
@@ -125,7 +125,7 @@ static void watch_winding(const struct monitor_settings *settings, struct monito
 }
 
 // v^2 / 2 <= a (limit - position): these two products need 64 bits.
-static APART bool has_room_exactly(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
+static RARE bool has_room_exactly(uint32_t pace, uint32_t room, uint32_t deceleration_q16) {
     pace = pace > 1 << 22 ? 1 << 22 : pace;
     uint64_t energy_q16 = fixed_mul_u32(pace, pace) << 15; // v^2 / 2
     return energy_q16 <= fixed_mul_u32(room, deceleration_q16);
@@ -199,9 +199,9 @@ static void watch_late(const struct monitor_settings *settings, struct monitor *
         found(monitor, REASON_LATE, (int32_t)seen->late_us, (int32_t)settings->late_us);
 }
 
-// What need not be judged in each period. Apart, and called.
-static APART void watch_slowly(const struct monitor_settings *settings, struct monitor *monitor,
-                               const struct observation *seen) {
+// What need not be judged in each period. Called, it would need all that was seen in memory.
+static INLINE void watch_slowly(const struct monitor_settings *settings, struct monitor *monitor,
+                                const struct observation *seen) {
     if (seen->looks & LOOK_STUCK)
         watch_stuck(settings, monitor, seen);
     if (seen->looks & LOOK_SUPPLY)

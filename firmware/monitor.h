@@ -14,22 +14,22 @@
 #define MONITOR_CHOPPER_OFF_SHIFT 6 // the chopper goes off 1/64 below where it goes on
 
 struct monitor_settings {
-    int32_t following_pq;       // largest following error ...
-    uint16_t following_periods; // ... for so many periods in a row
-    int32_t speed_pq;           // largest speed, per servo period
     bool bounded;               // there are position limits
+    uint16_t following_periods; // with a following error beyond its limit, in a row
+    int32_t following_pq;       // largest following error
+    int32_t speed_pq;           // largest speed, per servo period
+    int32_t spike_counts;       // in one period
     int32_t low_pq, high_pq;    // within these the axis must always be able to stop ...
     int32_t deceleration_q16;   // ... with this: 1/65536 pq per period squared
     uint32_t torque_periods;    // at the torque ceiling in a row
+    uint32_t late_us;           // of a servo period
     struct scale load_q8;       // torque in 1/256 of the continuous torque [1/tq]
     uint32_t overload;          // allowance of load^2 - 1, summed over periods
     uint16_t heating_q16;       // share by which the winding's rise nears load^2 in 256 periods
     int32_t rise_q16;       // largest rise of the winding; 65536: at continuous torque, for ever
     int32_t stuck_pq;       // of the setpoint's way without a count
     uint32_t stuck_periods; // of torque half the ceiling away without a count
-    int32_t spike_counts;   // in one period
     int32_t supply_min_mV, supply_max_mV, chopper_mV;
-    uint32_t late_us; // of a servo period
 };
 
 // A breach; reason REASON_NONE if there is none.
@@ -40,10 +40,10 @@ struct breach {
 
 struct monitor {
     struct breach breach; // of the last period; if there is none, only its reason is set
-    bool primed;          // `count` is the last one
+    int32_t primed;       // `count` is the last one, or not: 0
     int32_t count;
     int32_t speed_sum;  // of count differences in pq, a first-order low-pass over 8 periods
-    uint16_t following; // periods beyond the limit, in a row
+    uint32_t following; // periods beyond the limit, in a row
     uint32_t torque;    // periods at the ceiling, in a row
     int64_t overload;   // sum of load^2 - 1 in 1/65536, not below 0
     int64_t heat;       // sum of load^2 in 1/65536 since the last step

@@ -11,4 +11,10 @@
 // Called, not inlined: a function of its own has all registers, and those of a small core are few.
 #define APART __attribute__((noinline))
 
+// Inlined, however long.
+#define INLINE inline __attribute__((always_inline))
+
+// Apart as well: what hardly ever runs. What calls it is laid out for the case that it does not.
+#define RARE __attribute__((noinline, cold))
+
 #endif

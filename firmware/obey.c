@@ -53,8 +53,8 @@ static bool cause_remains(const struct device *device, const struct board *board
     return !settings_valid(&device->settings) || supply_mV < settings->supply_min_mV ||
            supply_mV > settings->supply_max_mV ||
            (stays_homed(device) && !monitor_inside(settings, device->position_pq)) ||
-           device->monitor.overload >> 16 > settings->overload / 2 ||
-           device->monitor.rise_q16 > settings->rise_q16 / 8 * 7;
+           device->watch.monitor.overload >> 16 > settings->overload / 2 ||
+           device->watch.monitor.rise_q16 > settings->rise_q16 / 8 * 7;
 }
 
 static enum command_result clear(struct device *device, const struct board *board) {

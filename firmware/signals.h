@@ -33,11 +33,11 @@ struct signals {
     uint32_t refused;              // pieces, ever
     uint32_t late;                 // of those that were taken
     uint32_t told[BOARD_DIGITAL];  // the piece of its track that output i is told of next
-    struct logic logic;            // that holds
     struct graph graph;
+    int32_t values[GRAPH_VALUES]; // of the last period
+    struct logic logic;           // that holds
     struct pieces tracks[REPORT_TRACKS];
     struct readings readings;
-    int32_t values[GRAPH_VALUES]; // of the last period
     struct feeds feeds;
 };
 

@@ -32,18 +32,18 @@ static inline void span_set(struct span *span, int64_t knot, int32_t p0, int32_t
     span->cube = span_sixth(jerk);
 }
 
-static inline int32_t span_value(const struct span *span, uint16_t phase) {
+static inline int32_t span_value(const struct span *span, uint32_t phase) {
     int32_t square = (span->curve >> 1) + fixed_mul_q16(span->cube, phase);
     int32_t linear = span->rate + fixed_mul_q16(square, phase);
     return fixed_sum(span->value, fixed_mul_q16(linear, phase));
 }
 
-static inline int32_t span_rate(const struct span *span, uint16_t phase) {
+static inline int32_t span_rate(const struct span *span, uint32_t phase) {
     int32_t change = fixed_mul_q16(span->jerk, phase);
     return span->rate + fixed_mul_q16(span->curve + (change >> 1), phase);
 }
 
-static inline int32_t span_curve(const struct span *span, uint16_t phase) {
+static inline int32_t span_curve(const struct span *span, uint32_t phase) {
     return span->curve + fixed_mul_q16(span->jerk, phase);
 }
 

@@ -16,17 +16,17 @@
 #define TRACK_PAST_KNOTS (TRACK_POINTS - 2) // from a past time to the end, at most
 
 struct track {
+    struct span spans[2]; // of two knots, an even one and an odd one
     bool written;
     int64_t end; // knot of the last point
     int32_t points[TRACK_POINTS];
-    struct span spans[2]; // of two knots, an even one and an odd one
-    int64_t oldest;       // knot of the oldest point that is left of what was written
+    int64_t oldest; // knot of the oldest point that is left of what was written
 };
 
 // A time on the grid: the knot whose interval it is in, and how far in, in 1/65536 of it.
 struct instant {
     int64_t knot;
-    uint16_t phase;
+    uint32_t phase; // below 2^16
 };
 
 // `knot_shift` is 9 .. 15. No shift or sum of 64 bits: on a small core that is many.
@@ -35,14 +35,17 @@ static inline struct instant instant_at(int64_t time_us, int32_t knot_shift) {
     uint32_t knot = low >> knot_shift | high << (32 - knot_shift);
     uint32_t above = (uint32_t)((int32_t)high >> knot_shift);
     return (struct instant){(int64_t)((uint64_t)above << 32 | knot),
-                            (uint16_t)(low << (16 - knot_shift))};
+                            low << (16 - knot_shift) & 0xffff};
 }
 
-// Later by less than 2^16 us.
-static inline struct instant instant_after(const struct instant *at, uint32_t later_us,
-                                           int32_t knot_shift) {
-    uint32_t phase = at->phase + (later_us << (16 - knot_shift));
-    return (struct instant){at->knot + (phase >> 16), (uint16_t)phase};
+// Ahead of an instant: how many intervals, and how far in it is there.
+struct ahead {
+    uint32_t knots, phase;
+};
+
+// By so many 1/65536 of an interval, below 2^31.
+static inline struct ahead instant_ahead(const struct instant *now, uint32_t by) {
+    return (struct ahead){(now->phase + by) >> 16, (now->phase + by) & 0xffff};
 }
 
 int32_t track_point(const struct track *track, int64_t knot);
@@ -58,6 +61,18 @@ static inline const struct span *track_span(struct track *track, int64_t knot) {
     NEAR(span);
     if ((uint32_t)span->knot != (uint32_t)knot)
         track_load(track, knot);
+    return span;
+}
+
+// The same of the interval that is `ahead` of an instant. Of what is 64 bits long only the last half is
+// made, unless the span is.
+static inline const struct span *track_span_ahead(struct track *track, const struct instant *now,
+                                                  const struct ahead *ahead) {
+    uint32_t knot = (uint32_t)now->knot + ahead->knots;
+    struct span *span = &track->spans[knot & 1];
+    NEAR(span);
+    if ((uint32_t)span->knot != knot)
+        track_load(track, now->knot + ahead->knots);
     return span;
 }
 
