@@ -89,6 +89,8 @@ def bounds(rng: Random) -> Iterator[str]:
             old = world.ticks - AGE_MAX
             for ticks in (old - 1, old, world.ticks + 1, world.ticks + (1 << 31)):
                 yield line("bounds-prove", at_least_q16=world.theta_q16 - (1 << 40), ticks_us=ticks)
+            for ticks in (world.ticks + 1, world.ticks + (1 << 31)):  # contradicts the set
+                yield line("bounds-prove", at_least_q16=world.theta_q16 + (1 << 40), ticks_us=ticks)
             for pause in (1_000_000, AGE_MAX, AGE_MAX + 1, 1 << 31, 1 << 40):
                 world.ticks += pause
                 yield line("bounds-advance", ticks_us=world.ticks)
