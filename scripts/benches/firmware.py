@@ -22,7 +22,7 @@ from _report import arguments, finish, goal, table
 from emulator import RAM, SIZE, Emulator, Tally
 from image import WHOLE, compile_firmware, soft_float
 from profile_lines import profile
-from scene import POLL_US, Scene, is_tick
+from scene import POLL_US, Scene, State, is_tick
 from tools import HERE, PREFIX, need
 
 from headway.firmware import _core
@@ -30,6 +30,7 @@ from headway.firmware import _core
 BUDGET = 1700  # of a servo tick, as it was meant to be
 HELD = 1590  # and what a change may not exceed
 SHORT_US, LONG_US = 100_000, 1_000_000  # of its life
+PLANNED_US, SILENT_US = 8000, 400_000  # of one whose host falls silent
 TICK_LEAST = 1000  # cycles: a poll without a tick has a quarter of it
 PROFILED = 60  # rows
 KERNELS = {  # what a tick calls
@@ -82,6 +83,32 @@ def life(core: Emulator, us: int) -> list[Tally]:
     twin = scene.emulate(core)
     scene.run(us)
     return twin.tallies
+
+
+def as_a_whole(file: Path) -> Emulator:
+    """A core with the firmware built as one unit."""
+    return Emulator(file, ("device_poll", *REPORTS))
+
+
+def nodes_apart(core: Emulator, us: int) -> list[Tally]:
+    """The same of a device whose nodes are of kinds that take longer."""
+    scene = Scene(kinds=("edge", "add"))
+    twin = scene.emulate(core)
+    scene.run(us)
+    return ticks_of(twin.tallies)
+
+
+def left_alone(core: Emulator) -> dict[State, list[Tally]]:
+    """Ticks by state, of a device whose plan ends without another: it coasts to rest, and holds."""
+    scene = Scene()
+    twin, found = scene.emulate(core), dict[State, list[Tally]]()
+    scene.run(PLANNED_US)
+    for _ in range(SILENT_US // POLL_US):
+        before = twin.state
+        scene.rig.poll()
+        if twin.state == before:
+            found.setdefault(State(before), []).append(twin.tallies[-1])
+    return {state: ticks_of(tallies) for state, tallies in found.items()}
 
 
 def called(tallies: list[Tally], name: str) -> list[int]:
@@ -185,14 +212,17 @@ def ticks_of(tallies: list[Tally]) -> list[Tally]:
 def whole(folder: Path, us: int) -> tuple[Emulator, Path, list[Tally]]:
     """The firmware built as one unit, and the ticks of its life."""
     image = compile_firmware(folder / "whole.elf", options=WHOLE)
-    core = Emulator(image, ("device_poll", *REPORTS))
+    core = as_a_whole(image)
     return core, image, ticks_of(life(core, us))
 
 
 def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
     """Cycles, floods of junk, rivals and goals, of so long a life."""
     with tempfile.TemporaryDirectory() as folder:
-        ticks = [cost(t) for t in whole(Path(folder), us)[2]]
+        _, file, ticks_seen = whole(Path(folder), us)
+        ticks = [cost(t) for t in ticks_seen]
+        other_nodes = nodes_apart(as_a_whole(file), us)
+        alone = left_alone(as_a_whole(file))
         image = compile_firmware(Path(folder) / "firmware.elf")
         core = Emulator(image, ("device_poll", "inbox_take", *REPORTS, *KERNELS, *PARTS))
         tallies = life(core, us)
@@ -201,7 +231,10 @@ def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
         plans = [t for t in tallies if "gate_check" in t.calls and "servo_step" not in t.calls]
         cycles = [
             row("servo tick, whole", ticks),
-            row("the same, compiled file by file", [cost(t) for t in apart]),
+            row("the same with nodes edge and add", [cost(t) for t in other_nodes]),
+            row("the same, coasting to rest", [cost(t) for t in alone[State.COAST]]),
+            row("the same, at rest in HOLD", [cost(t) for t in alone[State.HOLD]]),
+            row("the first, compiled file by file", [cost(t) for t in apart]),
             *(
                 row(f"  {label}", called(apart, name))
                 for name, label in KERNELS.items()

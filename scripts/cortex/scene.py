@@ -29,6 +29,8 @@ HORIZON = 55  # points of a plan that have not begun, as arm2's have
 STOP_KNOTS = 24  # of these, from full speed to rest
 NOISE_COUNTS = 3
 WARM_UP_US = 1_000_000  # on the host alone
+State = bench.State
+FOLLOWING = State.RUNNING, State.COAST, State.HOLD
 # The rig hands plans over at once, so nothing is known of the wire.
 WIRE = ["sync.to_device_least_us=0", "sync.to_host_least_us=0", "sync.limit_us=2000"]
 
@@ -51,8 +53,13 @@ class Scene:
     """The rig with its host; `polls` runs it, `twin` puts the emulator beside it."""
 
     def __init__(
-        self, seed: int = 0, servo_period_us: int = PERIOD_US, poll_us: int = POLL_US
+        self,
+        seed: int = 0,
+        servo_period_us: int = PERIOD_US,
+        poll_us: int = POLL_US,
+        kinds: tuple[str, str] = ("compare", "window"),
     ) -> None:
+        """`kinds`: of its two nodes."""
         self.settings = settings(servo_period_us)
         monitor = self.settings.monitor
         supply_V = (monitor.supply_min_mV + monitor.supply_max_mV) / 2000
@@ -67,13 +74,13 @@ class Scene:
         self._points: dict[int, list[int]] = {}
         self._knot = 0
         self.rig.sync().arm()
-        self._rule()
+        self._rule(kinds)
         self._first()
         self.run(WARM_UP_US)
 
     def _encoder(self, true_us: int) -> int:
         rig = self.rig
-        if rig.node.state != bench.State.RUNNING:
+        if rig.node.state not in FOLLOWING:
             return 0
         position_pq = rig.node.setpoint(rig.node.system_us(true_us))[0]
         noise = int(self._rng.integers(-NOISE_COUNTS, NOISE_COUNTS + 1))
@@ -86,11 +93,11 @@ class Scene:
         most = min(limits.difference_max, limits.second_difference_max / turn, range_step) / 10
         return float(most * np.cos(knot * turn))
 
-    def _rule(self) -> None:
+    def _rule(self, kinds: tuple[str, str]) -> None:
         """Two nodes, of which an output follows the second, as the budget has it."""
-        compare, window = _core.NODE_KINDS.index("compare"), _core.NODE_KINDS.index("window")
+        one, other = map(_core.NODE_KINDS.index, kinds)
         first = _core.SOURCE_OF_NODES
-        nodes = [(compare, POSITION, 0, 0, 1000), (window, TORQUE, 0, -1000, 1000)]
+        nodes = [(one, POSITION, 0, 0, 1000), (other, TORQUE, 0, -1000, 1000)]
         payload = _core.logic_encode(1, nodes, [first, first + 1], [], [])
         self.rig.node.deliver(self.rig.now, self.rig.host.seal(_core.FRAME_LOGIC, payload))
         self.rig.poll()
