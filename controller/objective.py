@@ -3,7 +3,8 @@
 The file has a function `objective` that takes Symbols and returns a list of terms, each a residual
 and a weight, of which the program minimizes the sum of weight times |residual|^2 at every node of
 the horizon. Residuals are linearized about the last plan (Gauss-Newton: Nocedal, Wright,
-Numerical Optimization, 2006, section 10.3), so a term's curvature never goes below zero.
+Numerical Optimization, 2006, section 10.3), so a term's curvature never goes below zero. What is to
+be kept below zero becomes rows of the program, each with a slack at each node.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ FUNCTION = "objective"
 TRIALS = 200  # states at which costs have to be numbers
 WAYS, WAY_PARTS = 20, 32  # between states, on which they must not jump
 JUMP = 1e-6  # of the residual, over 1e-11 of a way
+KEPT_ROWS_MAX = 32  # at a node, of all that is kept below: each is one more in every solver's step
+KEPT_WEIGHT_MAX = 1e12  # as of soft limits
 ROUGH = {  # CasADi's operations whose slope says nothing
     getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD")
 }
@@ -57,7 +60,7 @@ class Symbols:
         self.share = ca.SX.sym("share")
         self._machine, self._given = machine, parameters
         self.parameters: dict[str, tuple[Any, list[float]]] = {}
-        self.kept_below: list[tuple[Term, int]] = []  # and the line that said so
+        self.kept_below: list[tuple[Term, int]] = []  # columns, and the line that said so
 
     @property
     def x(self) -> Any:
@@ -84,7 +87,8 @@ class Symbols:
         return self.parameters[name][0]
 
     def keep_below(self, expression: Any, weight: Any) -> None:
-        """The expression should stay below zero: what is above costs `weight` times its square."""
+        """The expression (any, 1) is to stay below zero at every node after the first: what is
+        above costs `weight` times its square."""
         frame = inspect.currentframe()
         line = frame.f_back.f_lineno if frame is not None and frame.f_back is not None else 1
         self.kept_below.append(((expression, weight), line))
@@ -108,15 +112,22 @@ class Symbols:
 class Costs:
     """A task's costs at one node as a function, and the values of its parameters.
 
-    Both functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
-    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself. `later` are
-    the parameters' values after each of mpc.later.
+    The functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
+    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself; `kept` to
+    what is to stay below zero (`rows`, 1), times the root of its weight, and to its slope
+    (`rows`, 2n). `later` are the parameters' values after each of mpc.later.
     """
 
     function: ca.Function
     value: ca.Function
+    kept: ca.Function
     parameters: Array
     later: tuple[Array, ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Of what is to stay below zero, at a node."""
+        return int(self.kept.size1_out(0))
 
     def after(self, changes: int) -> Costs:
         """With the parameters after so many of mpc.later."""
@@ -158,13 +169,20 @@ def read_costs(
         _checked(source, places.get(i, lines[0]), symbols, f"term {i}", term)
         for i, term in enumerate(returned)
     ]
+    kept: list[Term] = []
     for i, (term, line) in enumerate(symbols.kept_below):
-        value, weight = _checked(source, line, symbols, f"keep_below {i}", term)
-        checked.append((ca.fmax(value, 0), weight))
-    return _gauss_newton(symbols, checked)
+        kept.append(_checked(source, line, symbols, f"keep_below {i}", term, KEPT_WEIGHT_MAX))
+        rows = sum(expression.numel() for expression, _ in kept)
+        if rows > KEPT_ROWS_MAX:
+            words = (
+                f"keep_below {i} makes it {rows} rows at a node, and {KEPT_ROWS_MAX} are the most: "
+                "leave out those that others imply, or put the largest of several in one"
+            )
+            raise _wrong(source, line, words)
+    return _costs(symbols, checked, kept)
 
 
-def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
+def _costs(symbols: Symbols, terms: list[Term], kept: list[Term]) -> Costs:
     x, (values, *later) = symbols.x, symbols.values
     curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
     value = ca.SX(1, 1)
@@ -177,9 +195,13 @@ def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
         "x": x, "time_s": symbols.time_s, "share": symbols.share, "costs": symbols.numbers,
     }  # fmt: skip
     outputs = {"curvature": curvature, "slope": slope}
+    # By the root of its weight a slack costs its square, whatever the weight is and becomes.
+    below = ca.vertcat(ca.SX(0, 1), *(ca.sqrt(weight) * expression for expression, weight in kept))
+    rows = {"kept": below, "kept_slope": ca.jacobian(below, x)}
     return Costs(
         named_function("costs", inputs, outputs),
         named_function("value", inputs, {"value": value}),
+        named_function("keep", inputs, rows),
         values,
         tuple(later),
     )
@@ -225,7 +247,9 @@ def _lines(text: str) -> list[int]:
     return [1]
 
 
-def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) -> Term:
+def _checked(
+    source: Path, line: int, symbols: Symbols, name: str, term: Any, weight_max: float = np.inf
+) -> Term:
     """A term as expressions, if it is one that has values and slopes everywhere."""
     try:
         residual, weight = (ca.SX(part) for part in term)
@@ -263,6 +287,9 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
             raise _wrong(source, line, words)
         if float(found[1]) < 0:
             raise _wrong(source, line, f"{name} has a negative weight, {float(found[1]):.4g}")
+        if float(found[1]) > weight_max:
+            words = f"{name} has a weight of {float(found[1]):.4g}, above {weight_max:.0e}"
+            raise _wrong(source, line, words)
     if CHOICES & operations:
         _require_no_jump(source, line, symbols, name, function)
     return residual, weight

@@ -40,14 +40,14 @@ return [
 
 
 def by_hand(x: Array, time_s: float, share: float, weight: float) -> float:
-    """What BODY says, with pinocchio's kinematics."""
+    """What BODY says, with pinocchio's kinematics. What it keeps below is a row, and no part of
+    it."""
     model = machine_of("furuta").model
     data = model.createData()
     pin.framesForwardKinematics(model, data, x[:2])
     tip = data.oMf[model.getFrameId("tip")].translation - [0.1, 0.2, time_s]
     swing = np.sin(x[1]) * x[2:] - [0.3, 0.1]
-    above = max(x[0] - 0.2, 0)
-    return float(weight * share * tip @ tip + 3 * swing @ swing + 5 * above**2)
+    return float(weight * share * tip @ tip + 3 * swing @ swing)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -116,6 +116,17 @@ def test_energies_and_places_are_pinocchios(name: str) -> None:
         ("return [(ca.sqrt(1 - ca.cos(s.q[0])), 1)]", 4, "has no slope"),
         ("return [(ca.floor(s.q[0]), 1.0)]", 4, "not differentiable: it has floor"),
         ("s.keep_below(ca.sign(s.q[0]), 1)\nreturn []", 4, "keep_below 0 is not"),
+        ("s.keep_below(s.q.T, 1)\nreturn []", 4, "keep_below 0 has a residual of 1 by 2"),
+        ("s.keep_below(s.q, s.v[0])\nreturn []", 4, "a weight that depends on q or v"),
+        ("s.keep_below('q', 1)\nreturn []", 4, "keep_below 0 is a tuple, not"),
+        ("s.keep_below(0, 1)\ns.keep_below(ca.sqrt(s.q[0]), 1)\nreturn []", 5,
+         "keep_below 1 is not a number"),
+        ("s.keep_below(s.q[0], float('nan'))\nreturn []", 4, "keep_below 0 is not a number"),
+        ("s.keep_below(s.q[0], 1 - s.time_s)\nreturn []", 4, "keep_below 0 has a negative weight"),
+        ("s.keep_below(s.q[0], 2e12)\nreturn []", 4, r"has a weight of 2e\+12, above 1e\+12"),
+        ("s.keep_below(ca.if_else(s.q[0] > 1, 1, 0), 1)\nreturn []", 4, "0 .* it jumps at"),
+        ("for _ in range(17):\n    s.keep_below(s.q, 1)\nreturn []", 5,
+         "keep_below 16 makes it 34 rows at a node, and 32 are the most"),
         ("return [(ca.if_else(s.q[0] > 0.3, 1, 0), 1)]", 4, "not differentiable: it jumps at"),
         ("x = 0\nreturn [(s.q[0] * (s.v[1] <= 2), 1)]", 5, "not differentiable: it jumps at"),
     ],
