@@ -65,6 +65,9 @@ static const double TO_BOUNDARY = 0.995; // of the way to the first bound
 // Found by trying, on arms with 2 and 6 axes: the least distance from a bound at first, and so many
 // times the mean product of distances and multipliers that would make the gap in cost.
 static const double START_DISTANCE = 0.3, START_PRODUCTS = 10;
+// Of what the task's own rows cost at first so much counts: with more, rows of the largest weights
+// leave no accuracy to the others.
+static const double BEYOND_MOST = 1e7;
 
 // The stage's matrices, and what eliminating u_{i+1} leaves behind: u_{i+1} = -ahead - gain y_i.
 struct stage {
@@ -562,6 +565,18 @@ static void roll_out(struct memory *m, const struct riccati_problem *p) {
     rows_of(m, (const double (*)[Y])m->y, &m->value);
 }
 
+// What the guess pays for the task's own rows.
+static inline double beyond(const struct memory *m) {
+    double cost = 0;
+    for (int i = 1; i <= N; ++i)
+        for (int k = OWN; k < ROWS; ++k) {
+            double off =
+                ((const double *)m->value.at[i])[k] - ((const double *)m->sides[1].bound.at[i])[k];
+            cost += off > 0 ? off * off : 0;
+        }
+    return cost;
+}
+
 static void take_step(struct memory *m, double share) {
     for (int k = 0; k < 2; ++k)
         for (int j = 0; j < W; ++j) {
@@ -757,6 +772,8 @@ struct riccati_answer riccati_solve(void *memory, const struct riccati_problem *
         for (int i = 0; i <= N; ++i)
             for (int j = 0; j < Y; ++j)
                 gap -= m->slope[i][j] * m->dy[i][j] / 2;
+        if (KEPT)
+            gap += fmin(beyond(m), BEYOND_MOST);
         start(m, START_PRODUCTS * fmax(gap, 1) / (2 * N * ROWS));
         iterate(m, max_iterations, tolerance, &answer);
         for (int i = 0; i <= N; ++i)

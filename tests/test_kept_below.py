@@ -44,12 +44,13 @@ def written(folder: Path, body: str) -> Path:
 
 
 class Case:
-    """The arm's program with costs of its own, on a grid that is solved exactly in a moment."""
+    """A machine's program with costs of its own, on a grid that is solved exactly in a moment."""
 
-    def __init__(self, folder: Path, body: str, *said: str) -> None:
-        task = f"{{kind: custom, file: {written(folder, body)}, target_rad_or_m: [0.2, 0.3]}}"
+    def __init__(self, folder: Path, body: str, *said: str, name: str = "arm2") -> None:
+        n = len(load_config(CONFIGS / f"{name}.yaml").machine.axes)
+        task = f"{{kind: custom, file: {written(folder, body)}, target_rad_or_m: {[0.1] * n}}}"
         grid = "mpc.horizon_us=196608", "mpc.intervals=12", "mpc.max_iterations=4000"
-        config = load_config(CONFIGS / "arm2.yaml", [f"task={task}", *grid, *said])
+        config = load_config(CONFIGS / f"{name}.yaml", [f"task={task}", *grid, *said])
         self.machine = load_machine(CONFIGS / config.machine.model)
         self.prediction = Prediction.of(config, self.machine)
         self.costs = own_costs(task_reference(config, CONFIGS), self.machine)
@@ -61,13 +62,18 @@ class Case:
         """From rest, with the tool at the wall or before it, to beyond."""
         rng = np.random.default_rng(seed)
         q = np.array([0.3, 1.2]) + rng.uniform(-0.1, 0.02, 2)
-        x = np.repeat(np.concatenate((q, np.zeros(2)))[:, None], self.nodes, axis=1)
-        torque = self.prediction.holding(q, np.zeros(2))
+        way = size * np.abs(rng.normal(size=2)) * [1, -1]
+        return self.go(q, way, rng.normal(scale=0.05, size=2), begin_s)
+
+    def go(self, q: Array, way: Array, d: Array, begin_s: float = 0.0) -> Feedback:
+        """From rest at q to so far from it, under a disturbance d."""
+        none = np.zeros(len(q))
+        x = np.repeat(np.concatenate((q, none))[:, None], self.nodes, axis=1)
+        torque = self.prediction.holding(q, none)
         u = np.repeat(torque[:, None], self.nodes, axis=1)
-        off = size * np.concatenate((np.abs(rng.normal(size=2)) * [1, -1], np.zeros(2)))
-        self.program.prepare(x, u, np.zeros(2), begin_s + self.node_s)
-        d = rng.normal(scale=0.05, size=2)
-        return self.program.feedback(x[:, 0], d, x + off[:, None], torque, torque - d)
+        self.program.prepare(x, u, none, begin_s + self.node_s)
+        reference = x + np.concatenate((way, none))[:, None]
+        return self.program.feedback(x[:, 0], d, reference, torque, torque - d)
 
     def exact(self) -> Array:
         """The last tick's answer by the osqp package, to nine digits."""
@@ -119,6 +125,36 @@ def test_a_solver_finds_what_another_one_finds(
         assert np.abs(z - exact)[: 5 * 4].max() < 1e-3
         active += slack.max(axis=0) > 0.1
     assert active.min() >= 3
+
+
+OTHERS = {
+    "arm6": """\
+s.keep_below(ca.vertcat(s.place("tool")[2] - 0.6, s.v[2] + s.v[3] - 0.2), 1e6)
+s.keep_below(s.q[4] * s.q[1] - 0.05, 1e6)
+return []""",
+    "furuta": "s.keep_below(ca.vertcat(s.q[0] - 0.1, s.v[1]), 1e4)\nreturn [(ca.sin(s.q[1]), 1)]",
+    "cartpole": "s.keep_below(ca.vertcat(s.q[0] - 0.05, s.v[0] + s.v[1] - 0.3), 1e5)\nreturn []",
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("backend", ["riccati", "hpipm"])
+def test_so_it_is_with_many_axes_and_with_passive_ones(
+    backend: str, name: str, tmp_path: Path
+) -> None:
+    """OSQP alone is the oracle here."""
+    of = Case(tmp_path, OTHERS[name], f"mpc.backend={backend}", name=name)
+    n, kept, active = of.program.ocp.n, of.program.ocp.kept_slacks, 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        done = of.go(rng.uniform(-0.1, 0.3, n), rng.normal(scale=0.1, size=n), np.zeros(n))
+        assert done.accepted
+        exact = of.exact()
+        cost = of.program.cost(exact)
+        near = 1e-6 if backend == "riccati" else 1e-4
+        assert abs(of.program.cost(of.program.pool["z"][:, 0]) - cost) <= 0.05 + near * abs(cost)
+        active += exact[kept].max() > 0.1
+    assert active > 4
 
 
 def by_hand(machine: Machine, x: Array, share: float) -> Array:
