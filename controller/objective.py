@@ -270,7 +270,8 @@ def _checked(
         )
     inputs = [x, symbols.time_s, symbols.share, symbols.numbers]
     function = ca.Function("term", inputs, [residual, weight, ca.jacobian(residual, x)])
-    operations = {function.instruction_id(k) for k in range(function.n_instructions())}
+    said = ca.Function("said", inputs, [residual, weight])  # a slope may have a step where it kinks
+    operations = {said.instruction_id(k) for k in range(said.n_instructions())}
     rough = {ROUGH[op] for op in operations if op in ROUGH}
     if rough:
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"

@@ -4,13 +4,17 @@ a tool that is kept off a wall."""
 import json
 import subprocess
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import casadi as ca
 import numpy as np
 import osqp
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from headway.cli.main import main
@@ -280,6 +284,37 @@ def test_what_cannot_be_kept_leaves_the_plans_accepted(
         assert done.accepted != (backend == "osqp" and kind in TOO_FAR_FOR_OSQP)
 
 
+ANY_ROWS = """\
+p = [s.parameter(f"p{i}", 0) for i in range(12)]
+late = s.share ** s.parameter("late", 0)
+rows = [
+    s.q[0] - p[0], p[1] - s.q[1], s.place("tool")[0] - p[2], ca.fabs(s.v[1]) - p[3],
+    p[4] - s.v[1] * s.q[0], s.kinetic_energy() - p[5],
+]
+for i, row in enumerate(rows):
+    s.keep_below(row, p[6 + i] * late)
+return []"""
+
+
+@cache
+def any_rows(backend: str) -> Case:
+    with TemporaryDirectory() as folder:
+        return Case(Path(folder), ANY_ROWS, f"mpc.backend={backend}")
+
+
+@pytest.mark.parametrize("backend", ["riccati", "hpipm"])
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6), late=st.sampled_from([0.0, 1.0, 8.0]))
+def test_whatever_rows_say_there_is_a_plan(backend: str, seed: int, late: float) -> None:
+    """With weights up to 1e9, of rows that contradict each other."""
+    of, rng = any_rows(backend), np.random.default_rng(seed)
+    weights = 10 ** rng.uniform(-3, 9, 6) * (rng.random(6) < 0.5)
+    values = np.concatenate((rng.normal(size=6), weights, [late]))
+    of.program.pool["parameters"][-len(values) :, 0] = values
+    q = np.array([0.3, 1.1]) + 0.3 * rng.normal(size=2)
+    assert of.go(q, 0.1 * rng.normal(size=2), 0.1 * rng.normal(size=2)).accepted
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_row_that_is_not_a_number_leaves_the_old_plan(backend: str, tmp_path: Path) -> None:
     body = "s.keep_below(s.q[0] - 5 + ca.sqrt(20 - s.time_s), 1.0)\nreturn []"
@@ -343,6 +378,25 @@ def test_a_tool_is_kept_off_a_wall(tmp_path: Path) -> None:
     assert record["solver_usable"].all() and record["solver_residual"].max() <= 1
     _, beyond_m = along_the_wall(tmp_path, AS_A_RESIDUAL)
     assert beyond_m > 20e-3
+
+
+def test_a_pendulum_swings_up_with_its_arm_kept_near(tmp_path: Path) -> None:
+    """Rows together with costs that are curved, and a joint without a motor. Without them the arm
+    goes twice as far."""
+    text = (CONFIGS / "upright.py").read_text()
+    first, rest = text.split("    angle, rate", maxsplit=1)
+    for row, most_rad in (("", np.inf), ("    s.keep_below(ca.fabs(s.q[0]) - 0.4, 1e4)\n", 0.43)):
+        source = tmp_path / "costs.py"
+        source.write_text(f"{first}{row}    angle, rate{rest}")
+        said = f"task.file={source}", "duration_s=5"
+        lock = Lockstep(load_config(CONFIGS / "furuta.yaml", list(said)), CONFIGS)
+        lock.run()
+        record = lock.record.arrays()
+        assert record["solver_usable"].all()
+        arm, pendulum = record["truth_position"][record["truth_s"] < 5].T
+        assert np.abs(np.cos(pendulum[-500:]) - 1).max() < 1e-3
+        assert (np.abs(arm).max() > 0.7) != (most_rad < 1)
+        assert np.abs(arm).max() < most_rad
 
 
 def test_a_record_has_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,6 +137,11 @@ def test_mistakes_are_told_with_their_line(tmp_path: Path, body: str, line: int,
     assert f"costs.py:{line}: " in str(error.value)
 
 
+def test_kinks_are_taken(tmp_path: Path) -> None:
+    body = "s.keep_below(ca.fabs(s.v) - 1, 1)\nreturn [(ca.fmax(ca.fabs(s.q[0]) - 1, 0), 1)]"
+    assert costs_of(tmp_path, body).rows == 2
+
+
 def test_a_choice_that_does_not_jump_is_one(tmp_path: Path) -> None:
     """Of the state where both sides meet, of time wherever."""
     costs_of(
