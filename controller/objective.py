@@ -34,6 +34,7 @@ WAYS, WAY_PARTS = 20, 32  # between states, on which they must not jump
 JUMP = 1e-6  # of the residual, over 1e-11 of a way
 KEPT_ROWS_MAX = 32  # at a node, of all that is kept below: each is one more in every solver's step
 KEPT_WEIGHT_MAX = 1e12  # as of soft limits
+KEPT_SIZE_MAX = 1e8  # of what is kept below and of its slope, times the root of its weight
 ROUGH = {  # CasADi's operations whose slope says nothing
     getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD")
 }
@@ -171,7 +172,8 @@ def read_costs(
     ]
     kept: list[Term] = []
     for i, (term, line) in enumerate(symbols.kept_below):
-        kept.append(_checked(source, line, symbols, f"keep_below {i}", term, KEPT_WEIGHT_MAX))
+        kept.append(_checked(source, line, symbols, f"keep_below {i}", term, "expression"))
+        _require_moderate(source, line, symbols, f"keep_below {i}", kept[-1])
         rows = sum(expression.numel() for expression, _ in kept)
         if rows > KEPT_ROWS_MAX:
             words = (
@@ -248,29 +250,36 @@ def _lines(text: str) -> list[int]:
 
 
 def _checked(
-    source: Path, line: int, symbols: Symbols, name: str, term: Any, weight_max: float = np.inf
+    source: Path, line: int, symbols: Symbols, name: str, term: Any, noun: str = "residual"
 ) -> Term:
     """A term as expressions, if it is one that has values and slopes everywhere."""
     try:
         residual, weight = (ca.SX(part) for part in term)
     except (TypeError, ValueError, NotImplementedError) as error:
-        words = f"{name} is {_a(term)}, not a residual and its weight"
+        is_what = f"of {' and '.join(map(_a, term))}" if isinstance(term, tuple) else _a(term)
+        words = (
+            f"{name} is {is_what}, not {noun} and weight: an SX column (ca.vertcat) and a number"
+        )
         raise _wrong(source, line, words) from error
     if residual.shape[1] != 1 or weight.numel() != 1:
         raise _wrong(
             source,
             line,
-            f"{name} has a residual of {residual.shape[0]} by {residual.shape[1]} and a weight of "
+            f"{name} has {noun} and weight of {residual.shape[0]} by {residual.shape[1]} and of "
             f"{weight.shape[0]} by {weight.shape[1]}: make it a column and a number",
         )
     x = symbols.x
     if ca.depends_on(weight, x):
         raise _wrong(
-            source, line, f"{name} has a weight that depends on q or v: only residuals may"
+            source, line, f"{name} has a weight that depends on q or v: only its {noun} may"
         )
     inputs = [x, symbols.time_s, symbols.share, symbols.numbers]
+    # Of itself, as a slope may have a step where it kinks.
+    said = ca.Function("said", inputs, [residual, weight], {"allow_free": True})
+    if said.has_free():
+        own = f"{name} has a symbol of its own, {said.get_free()[0]}"
+        raise _wrong(source, line, f"{own}: make it of what {FUNCTION} is given")
     function = ca.Function("term", inputs, [residual, weight, ca.jacobian(residual, x)])
-    said = ca.Function("said", inputs, [residual, weight])  # a slope may have a step where it kinks
     operations = {said.instruction_id(k) for k in range(said.n_instructions())}
     rough = {ROUGH[op] for op in operations if op in ROUGH}
     if rough:
@@ -288,12 +297,29 @@ def _checked(
             raise _wrong(source, line, words)
         if float(found[1]) < 0:
             raise _wrong(source, line, f"{name} has a negative weight, {float(found[1]):.4g}")
-        if float(found[1]) > weight_max:
-            words = f"{name} has a weight of {float(found[1]):.4g}, above {weight_max:.0e}"
-            raise _wrong(source, line, words)
     if CHOICES & operations:
         _require_no_jump(source, line, symbols, name, function)
     return residual, weight
+
+
+def _require_moderate(source: Path, line: int, symbols: Symbols, name: str, term: Term) -> None:
+    """Raises ValueError for what would leave a solver no accuracy for anything else."""
+    expression, weight = term
+    size = ca.sqrt(weight) * ca.vertcat(expression, ca.vec(ca.jacobian(expression, symbols.x)))
+    inputs = [symbols.x, symbols.time_s, symbols.share, symbols.numbers]
+    function = ca.Function("size", inputs, [weight, ca.mmax(ca.fabs(ca.vertcat(0, size)))])
+    rng = np.random.default_rng(2)
+    for trial in range(TRIALS):
+        state = rng.uniform(-np.pi, np.pi, symbols.x.numel())
+        values = symbols.values[trial % len(symbols.values)]
+        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+        weighs, largest = (float(part) for part in found)
+        if weighs > KEPT_WEIGHT_MAX or largest > KEPT_SIZE_MAX:
+            words = (
+                f"{name} has a weight of {weighs:.4g}, whose root makes it {largest:.4g}: "
+                f"{KEPT_WEIGHT_MAX:.0e} and {KEPT_SIZE_MAX:.0e} are the most"
+            )
+            raise _wrong(source, line, words)
 
 
 def _require_no_jump(
