@@ -58,6 +58,8 @@ class Stages:
         torque: Array,
         step: Array,
         curvature: Array,
+        kept: Array,
+        kept_slope: Array,
         approach_s: Array,
         soft: Array,
     ) -> None: ...

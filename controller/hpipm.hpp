@@ -26,11 +26,14 @@ class Hpipm : public Solver {
   private:
     void set_constant();
     void set_states();
+    void set_soft(int i, int first);
     void set_vectors();
     void measure(Answer &answer) const;
 
     Stages p_;
     int between_;                                 // rows of a stage's cubic
+    int soft_;                                    // its rows with slacks: the last of them ...
+    int kept_;                                    // ... are the task's own
     std::vector<std::unique_ptr<char[]>> memory_; // what HPIPM works in
     d_ocp_qp_dim dim_{};
     d_ocp_qp qp_{};

@@ -239,16 +239,17 @@ NB_MODULE(_tick, m) {
             [](Stages *self, std::vector<std::array<double, 3>> cubic, std::vector<int> driven,
                std::vector<int> bounded, Matrix a, Matrix b0, Matrix b1, Matrix gradient,
                Matrix lower, Matrix upper, Matrix column_scale, Matrix row_scale, Matrix state,
-               Matrix torque, Matrix step, Matrix curvature, Matrix approach_s, Matrix soft) {
+               Matrix torque, Matrix step, Matrix curvature, Matrix kept, Matrix kept_slope,
+               Matrix approach_s, Matrix soft) {
                 int axes = (int)approach_s.size(), intervals = (int)step.shape(1);
                 new (self)
-                    Stages{axes,   intervals, cubic,     driven,     bounded,      a,         b0,
-                           b1,     gradient,  lower,     upper,      column_scale, row_scale, state,
-                           torque, step,      curvature, approach_s, soft};
+                    Stages{axes,   intervals, cubic,     driven, bounded,      a,          b0,
+                           b1,     gradient,  lower,     upper,  column_scale, row_scale,  state,
+                           torque, step,      curvature, kept,   kept_slope,   approach_s, soft};
             },
             "cubic"_a, "driven"_a, "bounded"_a, "a"_a, "b0"_a, "b1"_a, "gradient"_a, "lower"_a,
             "upper"_a, "column_scale"_a, "row_scale"_a, "state"_a, "torque"_a, "step"_a,
-            "curvature"_a, "approach_s"_a, "soft"_a,
+            "curvature"_a, "kept"_a, "kept_slope"_a, "approach_s"_a, "soft"_a,
             "Arrays in Fortran order, see stages.hpp; `driven`: the axes with a motor; `bounded`: "
             "those with soft limits.");
     nb::class_<Hpipm, Solver>(m, "Hpipm")

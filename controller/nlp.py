@@ -1,8 +1,8 @@
 """The nonlinear problem that a tick's quadratic program stands for, solved to convergence.
 
 Offline: the program's cost and its linear constraints are the problem's own, so only the
-linearized equations of motion are put back, and costs of the task's own. IPOPT: Waechter, Biegler,
-Math. Prog. 106, 2006.
+linearized equations of motion are put back, and the task's own costs and rows. IPOPT: Waechter,
+Biegler, Math. Prog. 106, 2006.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array,
     motion = slice(2 * n, 2 * n * (ocp.intervals + 1))  # rows of the equations of motion
     scale = ocp.row_scale[motion]
     defect = ca.vec(x[:, 1:] - after) * scale
-    others = np.r_[0 : motion.start, motion.stop : ocp.rows]
+    others = np.r_[0 : motion.start, motion.stop : ocp.kept_rows.start]
     linear = ca.DM(program.constraints()[others])
+    above = ca.MX(0, 1)
     half = ca.DM(ocp.hessian)
     hessian: Any = half + half.T - ca.diag(ca.diag(half))
     cost = ca.bilin(hessian, z, z) / 2
@@ -50,12 +51,15 @@ def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array,
         gradient[ocp.states] -= of_x * pool["slope"].ravel(order="F")
         at = x, ca.DM(pool["time_s"]), ca.DM(np.linspace(0, 1, ocp.intervals + 1)).T
         cost += ca.sum2(_each(costs.value, *at, costs.parameters))
+        x_later, time_s, share = (of[:, 1:] for of in at)
+        kept = _each(costs.kept, x_later, time_s, share, costs.parameters)[0]
+        above = ca.vec(kept) - whole[ocp.kept_slacks]
         blocks = ca.horzsplit(_each(costs.function, *at, costs.parameters)[0], 2 * n)
         of_states = ca.diag(ca.DM(of_x)) @ ca.diagcat(*blocks) @ ca.diag(ca.DM(of_x))
         rest = ocp.size - len(of_x)
         hessian += ca.diagcat(of_states, ca.MX(rest, rest))
     cost += ca.dot(ca.DM(gradient), z)
-    problem: dict[str, Any] = {"x": z, "f": cost, "g": ca.vertcat(defect, linear @ z)}
+    problem: dict[str, Any] = {"x": z, "f": cost, "g": ca.vertcat(defect, linear @ z, above)}
     # The costs' own curvature, without the motion's: Gauss and Newton's. It stays convex.
     p, of_cost, of_rest = (ca.MX.sym(*of) for of in (("p", 0), ("f", 1), ("g", ocp.rows)))
     curvature = ca.Function("curvature", [z, p, of_cost, of_rest], [of_cost * ca.triu(hessian)])
@@ -65,9 +69,11 @@ def converged(program: Program, machine: Machine, law: ServoLaw) -> tuple[Array,
     }  # fmt: skip
     solver = ca.nlpsol("converged", "ipopt", problem, options)
     lower, upper = pool["lower"][others, 0], pool["upper"][others, 0]
-    zero = np.zeros(len(scale))
+    zero, free = np.zeros(len(scale)), np.full(above.numel(), -np.inf)
     solution = solver(
-        x0=pool["z"], lbg=np.concatenate((zero, lower)), ubg=np.concatenate((zero, upper))
+        x0=pool["z"],
+        lbg=np.concatenate((zero, lower, free)),
+        ubg=np.concatenate((zero, upper, np.zeros(len(free)))),
     )
     return np.array(solution["x"]).ravel(), str(solver.stats()["return_status"])
 

@@ -3,7 +3,8 @@
 The file has a function `objective` that takes Symbols and returns a list of terms, each a residual
 and a weight, of which the program minimizes the sum of weight times |residual|^2 at every node of
 the horizon. Residuals are linearized about the last plan (Gauss-Newton: Nocedal, Wright,
-Numerical Optimization, 2006, section 10.3), so a term's curvature never goes below zero.
+Numerical Optimization, 2006, section 10.3), so a term's curvature never goes below zero. What is to
+be kept below zero becomes rows of the program, each with a slack at each node.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ FUNCTION = "objective"
 TRIALS = 200  # states at which costs have to be numbers
 WAYS, WAY_PARTS = 20, 32  # between states, on which they must not jump
 JUMP = 1e-6  # of the residual, over 1e-11 of a way
+KEPT_ROWS_MAX = 32  # at a node, of all that is kept below: each is one more in every solver's step
+KEPT_WEIGHT_MAX = 1e12  # as of soft limits
+KEPT_SIZE_MAX = 1e8  # of what is kept below and of its slope, times the root of its weight
 ROUGH = {  # CasADi's operations whose slope says nothing
     getattr(ca, f"OP_{name}"): name.lower() for name in ("FLOOR", "CEIL", "SIGN", "FMOD")
 }
@@ -57,7 +61,7 @@ class Symbols:
         self.share = ca.SX.sym("share")
         self._machine, self._given = machine, parameters
         self.parameters: dict[str, tuple[Any, list[float]]] = {}
-        self.kept_below: list[tuple[Term, int]] = []  # and the line that said so
+        self.kept_below: list[tuple[Term, int]] = []  # columns, and the line that said so
 
     @property
     def x(self) -> Any:
@@ -84,7 +88,8 @@ class Symbols:
         return self.parameters[name][0]
 
     def keep_below(self, expression: Any, weight: Any) -> None:
-        """The expression should stay below zero: what is above costs `weight` times its square."""
+        """The expression (any, 1) is to stay below zero at every node after the first: what is
+        above costs `weight` times its square."""
         frame = inspect.currentframe()
         line = frame.f_back.f_lineno if frame is not None and frame.f_back is not None else 1
         self.kept_below.append(((expression, weight), line))
@@ -108,15 +113,22 @@ class Symbols:
 class Costs:
     """A task's costs at one node as a function, and the values of its parameters.
 
-    Both functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
-    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself. `later` are
-    the parameters' values after each of mpc.later.
+    The functions take x (2n, 1), time_s, share and the parameters (p, 1): `function` to the
+    curvature 2 J'WJ (2n, 2n) and the slope 2 J'Wr (2n, 1), `value` to the cost itself; `kept` to
+    what is to stay below zero (`rows`, 1), times the root of its weight, and to its slope
+    (`rows`, 2n). `later` are the parameters' values after each of mpc.later.
     """
 
     function: ca.Function
     value: ca.Function
+    kept: ca.Function
     parameters: Array
     later: tuple[Array, ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Of what is to stay below zero, at a node."""
+        return int(self.kept.size1_out(0))
 
     def after(self, changes: int) -> Costs:
         """With the parameters after so many of mpc.later."""
@@ -158,13 +170,21 @@ def read_costs(
         _checked(source, places.get(i, lines[0]), symbols, f"term {i}", term)
         for i, term in enumerate(returned)
     ]
+    kept: list[Term] = []
     for i, (term, line) in enumerate(symbols.kept_below):
-        value, weight = _checked(source, line, symbols, f"keep_below {i}", term)
-        checked.append((ca.fmax(value, 0), weight))
-    return _gauss_newton(symbols, checked)
+        kept.append(_checked(source, line, symbols, f"keep_below {i}", term, "expression"))
+        _require_moderate(source, line, symbols, f"keep_below {i}", kept[-1])
+        rows = sum(expression.numel() for expression, _ in kept)
+        if rows > KEPT_ROWS_MAX:
+            words = (
+                f"keep_below {i} makes it {rows} rows at a node, and {KEPT_ROWS_MAX} are the most: "
+                "leave out those that others imply, or put the largest of several in one"
+            )
+            raise _wrong(source, line, words)
+    return _costs(symbols, checked, kept)
 
 
-def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
+def _costs(symbols: Symbols, terms: list[Term], kept: list[Term]) -> Costs:
     x, (values, *later) = symbols.x, symbols.values
     curvature, slope = ca.SX(x.numel(), x.numel()), ca.SX(x.numel(), 1)
     value = ca.SX(1, 1)
@@ -177,9 +197,13 @@ def _gauss_newton(symbols: Symbols, terms: list[Term]) -> Costs:
         "x": x, "time_s": symbols.time_s, "share": symbols.share, "costs": symbols.numbers,
     }  # fmt: skip
     outputs = {"curvature": curvature, "slope": slope}
+    # By the root of its weight a slack costs its square, whatever the weight is and becomes.
+    below = ca.vertcat(ca.SX(0, 1), *(ca.sqrt(weight) * expression for expression, weight in kept))
+    rows = {"kept": below, "kept_slope": ca.jacobian(below, x)}
     return Costs(
         named_function("costs", inputs, outputs),
         named_function("value", inputs, {"value": value}),
+        named_function("keep", inputs, rows),
         values,
         tuple(later),
     )
@@ -225,28 +249,38 @@ def _lines(text: str) -> list[int]:
     return [1]
 
 
-def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) -> Term:
+def _checked(
+    source: Path, line: int, symbols: Symbols, name: str, term: Any, noun: str = "residual"
+) -> Term:
     """A term as expressions, if it is one that has values and slopes everywhere."""
     try:
         residual, weight = (ca.SX(part) for part in term)
     except (TypeError, ValueError, NotImplementedError) as error:
-        words = f"{name} is {_a(term)}, not a residual and its weight"
+        is_what = f"of {' and '.join(map(_a, term))}" if isinstance(term, tuple) else _a(term)
+        words = (
+            f"{name} is {is_what}, not {noun} and weight: an SX column (ca.vertcat) and a number"
+        )
         raise _wrong(source, line, words) from error
     if residual.shape[1] != 1 or weight.numel() != 1:
         raise _wrong(
             source,
             line,
-            f"{name} has a residual of {residual.shape[0]} by {residual.shape[1]} and a weight of "
+            f"{name} has {noun} and weight of {residual.shape[0]} by {residual.shape[1]} and of "
             f"{weight.shape[0]} by {weight.shape[1]}: make it a column and a number",
         )
     x = symbols.x
     if ca.depends_on(weight, x):
         raise _wrong(
-            source, line, f"{name} has a weight that depends on q or v: only residuals may"
+            source, line, f"{name} has a weight that depends on q or v: only its {noun} may"
         )
     inputs = [x, symbols.time_s, symbols.share, symbols.numbers]
+    # Of itself, as a slope may have a step where it kinks.
+    said = ca.Function("said", inputs, [residual, weight], {"allow_free": True})
+    if said.has_free():
+        own = f"{name} has a symbol of its own, {said.get_free()[0]}"
+        raise _wrong(source, line, f"{own}: make it of what {FUNCTION} is given")
     function = ca.Function("term", inputs, [residual, weight, ca.jacobian(residual, x)])
-    operations = {function.instruction_id(k) for k in range(function.n_instructions())}
+    operations = {said.instruction_id(k) for k in range(said.n_instructions())}
     rough = {ROUGH[op] for op in operations if op in ROUGH}
     if rough:
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
@@ -266,6 +300,26 @@ def _checked(source: Path, line: int, symbols: Symbols, name: str, term: Any) ->
     if CHOICES & operations:
         _require_no_jump(source, line, symbols, name, function)
     return residual, weight
+
+
+def _require_moderate(source: Path, line: int, symbols: Symbols, name: str, term: Term) -> None:
+    """Raises ValueError for what would leave a solver no accuracy for anything else."""
+    expression, weight = term
+    size = ca.sqrt(weight) * ca.vertcat(expression, ca.vec(ca.jacobian(expression, symbols.x)))
+    inputs = [symbols.x, symbols.time_s, symbols.share, symbols.numbers]
+    function = ca.Function("size", inputs, [weight, ca.mmax(ca.fabs(ca.vertcat(0, size)))])
+    rng = np.random.default_rng(2)
+    for trial in range(TRIALS):
+        state = rng.uniform(-np.pi, np.pi, symbols.x.numel())
+        values = symbols.values[trial % len(symbols.values)]
+        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+        weighs, largest = (float(part) for part in found)
+        if weighs > KEPT_WEIGHT_MAX or largest > KEPT_SIZE_MAX:
+            words = (
+                f"{name} has a weight of {weighs:.4g}, whose root makes it {largest:.4g}: "
+                f"{KEPT_WEIGHT_MAX:.0e} and {KEPT_SIZE_MAX:.0e} are the most"
+            )
+            raise _wrong(source, line, words)
 
 
 def _require_no_jump(

@@ -190,7 +190,7 @@ class Program:
 def assembly(library: Path, ocp: Ocp, pool: dict[str, Array]) -> Call:
     """The linearized intervals' way into the constraints' entries."""
     pool["constant"] = ocp.constraints.data[:, None]
-    pool["scale"] = ocp.dynamics_scale.reshape(-1, 1)
+    pool["scale"] = ocp.linearized_scale[:, None]
     pool["entries"] = pool["constant"].copy(order="F")
     return Call(library, "assemble", pool)
 
@@ -234,6 +234,7 @@ def _stages(ocp: Ocp, pool: dict[str, Array]) -> Stages:
         *scales,
         *hessian,
         pool.get("curvature", np.empty((0, 0))),
+        *(pool["kept"], pool["kept_slope"]),
         *soft,
     )
 
@@ -252,6 +253,7 @@ def riccati_source(ocp: Ocp, curved: bool) -> str:
     numbers = {
         "AXES": ocp.n, "MOTORS": len(ocp.driven), "SOFT": len(ocp.bounded),
         "INTERVALS": ocp.intervals, "CURVED": int(curved), "BETWEEN": len(ocp.cubic),
+        "KEPT": ocp.kept,
     }  # fmt: skip
     lists: dict[str, list[int] | list[str]] = {
         "DRIVEN": ocp.driven,

@@ -1,8 +1,9 @@
 // An interior-point method for the tick's program whose linear algebra is a Riccati recursion over
 // the horizon: Rao, Wright, Rawlings, J. Optim. Theory Appl. 99, 1998; predictor and corrector:
 // Mehrotra, SIAM J. Optim. 2, 1992. It is compiled for one machine and horizon, behind riccati.h and
-// definitions of AXES, MOTORS, SOFT, INTERVALS, DRIVEN, BOUNDED (lists of axes), CURVED (0 or 1), and
-// BETWEEN and CUBIC: how many rows of a cubic there are, and three numbers each.
+// definitions of AXES, MOTORS, SOFT, INTERVALS, DRIVEN, BOUNDED (lists of axes), CURVED (0 or 1), KEPT
+// (rows of the task's own), and BETWEEN and CUBIC: how many rows of a cubic there are, and three
+// numbers each.
 //
 // A node's variables are y_i = [q_i; v_i; u_i], a stage's are s_i = [u_{i+1}; y_i]:
 //
@@ -10,9 +11,9 @@
 //     subject to  [q; v]_{i+1} = G_i s_i + defect_i, v of motors given at the last two nodes
 //                 lower <= row - compliance multiplier <= upper
 //
-// A row is a torque, q + T v of a soft limit, or of the cubic to the next node the speed half-way or
-// the acceleration with which it begins. Soft limits alone are compliant: a slack of weight W, which
-// no other row shares, is the multiplier over W.
+// A row is a torque, q + T v of a soft limit, of the cubic to the next node the speed half-way or the
+// acceleration with which it begins, or what the task keeps below. Soft limits and the task's own
+// rows are compliant: a slack of weight W, which no other row shares, is the multiplier over W.
 #include <math.h>
 #include <string.h>
 
@@ -35,7 +36,8 @@ enum {
     S = W + Y,
     N = INTERVALS,
     AHEAD = (1 + BETWEEN) * W, // torques come first, then rows of a cubic
-    ROWS = AHEAD + SOFT,
+    OWN = AHEAD + SOFT,        // the task's
+    ROWS = OWN + KEPT,
     SV = VECTORS(S),
     XV = VECTORS(X),
     RV = VECTORS(ROWS),
@@ -58,10 +60,14 @@ static const struct {
 // A bound that is none. An equality gives way by its multiplier over STIFF within a Newton step,
 // not in what it converges to.
 static const double FREE = 1e6, STIFF = 1e8;
+static const double FAR_BELOW = 1e12; // of the task's own rows, whose unit is that of their weight
 static const double TO_BOUNDARY = 0.995; // of the way to the first bound
 // Found by trying, on arms with 2 and 6 axes: the least distance from a bound at first, and so many
 // times the mean product of distances and multipliers that would make the gap in cost.
 static const double START_DISTANCE = 0.3, START_PRODUCTS = 10;
+// Of what the task's own rows cost at first so much counts: with more, rows of the largest weights
+// leave no accuracy to the others.
+static const double BEYOND_MOST = 1e7;
 
 // The stage's matrices, and what eliminating u_{i+1} leaves behind: u_{i+1} = -ahead - gain y_i.
 struct stage {
@@ -98,6 +104,7 @@ struct memory {
     struct rows weight, push;       // of the rows in the Hessian and the gradient
     struct side sides[2];           // lower, upper
     vec compliance[RV];
+    double kept[KEPT ? N + 1 : 1][KEPT + 1][X]; // the task's own rows, scaled; none at first
 };
 
 size_t riccati_size(void) { return sizeof(struct memory); }
@@ -203,6 +210,12 @@ static void add_node(struct memory *m, int i) {
         h[q][v] += by_v;
         h[v][v] += by_v * m->tau[j];
     }
+    for (int k = 0; k < KEPT; ++k)
+        for (int r = 0; r < X; ++r) {
+            double by_r = weight[OWN + k] * m->kept[i][k][r];
+            for (int c = r; c < X; ++c)
+                h[W + r][W + c] += by_r * m->kept[i][k][c];
+        }
     if (CURVED)
         for (int r = 0; r < X; ++r)
             for (int c = r; c < X; ++c)
@@ -324,6 +337,9 @@ static inline void gradient_at(const struct memory *m, int i, double *gradient) 
         gradient[bounded[j]] += push[AHEAD + j];
         gradient[AXES + bounded[j]] += push[AHEAD + j] * m->tau[j];
     }
+    for (int k = 0; k < KEPT; ++k)
+        for (int c = 0; c < X; ++c)
+            gradient[c] += push[OWN + k] * m->kept[i][k][c];
 }
 
 // h = G'p + [p_u; 0], of s = [u_{i+1}; y_i].
@@ -415,6 +431,11 @@ static void rows_of(const struct memory *m, const double (*y)[Y], struct rows *r
         }
         for (int j = 0; j < SOFT; ++j)
             row[AHEAD + j] = y[i][bounded[j]] + m->tau[j] * y[i][AXES + bounded[j]];
+        for (int k = 0; k < KEPT; ++k) {
+            row[OWN + k] = 0;
+            for (int c = 0; c < X; ++c)
+                row[OWN + k] += m->kept[i][k][c] * y[i][c];
+        }
     }
 }
 
@@ -471,6 +492,12 @@ int riccati_update(void *memory, const struct riccati_problem *p) {
         m->tau[j] = p->approach_s[axis] * scale[AXES + axis] / scale[axis];
         ((double *)m->compliance)[AHEAD + j] = 1 / (2 * p->soft[axis] * scale[axis] * scale[axis]);
     }
+    for (int k = 0; k < KEPT; ++k) { // a slack costs its square
+        ((double *)m->compliance)[OWN + k] = 0.5;
+        for (int i = 1; i <= N; ++i)
+            for (int c = 0; c < X; ++c)
+                m->kept[i][k][c] = p->kept_slope[((i - 1) * X + c) * KEPT + k] * scale[c];
+    }
     for (int k = 0; k < BETWEEN; ++k)
         for (int j = 0; j < W; ++j) {
             int q = driven[j];
@@ -512,6 +539,10 @@ static void take_vectors(struct memory *m, const struct riccati_problem *p) {
             lower[AHEAD + j] = -up[below + row] * unit;
             upper[AHEAD + j] = up[above + row] * unit;
         }
+        for (int k = 0; i > 0 && k < KEPT; ++k) {
+            lower[OWN + k] = -FAR_BELOW;
+            upper[OWN + k] = -p->kept[(i - 1) * KEPT + k];
+        }
         memcpy(m->slope[i], p->gradient + i * X, sizeof(double[X]));
         memcpy(m->slope[i] + X, p->gradient + (N + 1) * X + i * W, sizeof(double[W]));
     }
@@ -532,6 +563,18 @@ static void roll_out(struct memory *m, const struct riccati_problem *p) {
     }
     add_slope(m, (const double (*)[Y])m->y, 1);
     rows_of(m, (const double (*)[Y])m->y, &m->value);
+}
+
+// What the guess pays for the task's own rows.
+static inline double beyond(const struct memory *m) {
+    double cost = 0;
+    for (int i = 1; i <= N; ++i)
+        for (int k = OWN; k < ROWS; ++k) {
+            double off =
+                ((const double *)m->value.at[i])[k] - ((const double *)m->sides[1].bound.at[i])[k];
+            cost += off > 0 ? off * off : 0;
+        }
+    return cost;
 }
 
 static void take_step(struct memory *m, double share) {
@@ -721,12 +764,16 @@ struct riccati_answer riccati_solve(void *memory, const struct riccati_problem *
     rows_of(m, (const double (*)[Y])m->dy, &m->change);
     if (within(m)) {
         take_step(m, 1);
+        if (KEPT) // for their slacks
+            rows_of(m, (const double (*)[Y])m->y, &m->value);
         answer.good = 1;
     } else {
         double gap = 0; // in cost, between the guess and that
         for (int i = 0; i <= N; ++i)
             for (int j = 0; j < Y; ++j)
                 gap -= m->slope[i][j] * m->dy[i][j] / 2;
+        if (KEPT)
+            gap += fmin(beyond(m), BEYOND_MOST);
         start(m, START_PRODUCTS * fmax(gap, 1) / (2 * N * ROWS));
         iterate(m, max_iterations, tolerance, &answer);
         for (int i = 0; i <= N; ++i)
@@ -739,6 +786,13 @@ struct riccati_answer riccati_solve(void *memory, const struct riccati_problem *
         memcpy(z + i * X, m->y[i], sizeof(double[X]));
         memcpy(z + X * (N + 1) + i * W, m->y[i] + X, sizeof(double[W]));
     }
-    memset(z + Y * (N + 1), 0, sizeof(double[AXES])); // slacks stay here
+    memset(z + Y * (N + 1), 0, sizeof(double[AXES])); // slacks of soft limits stay here
+    double *slack = z + Y * (N + 1) + AXES;
+    for (int i = 1; i <= N; ++i)
+        for (int k = 0; k < KEPT; ++k) {
+            const double *value = (const double *)m->value.at[i];
+            const double *upper = (const double *)m->sides[1].bound.at[i];
+            *slack++ = fmax(value[OWN + k] - upper[OWN + k], 0);
+        }
     return answer;
 }

@@ -18,7 +18,7 @@ Riccati::Riccati(const std::string &path, Stages stages, int max_iterations, dou
     problem_ = {p.a.data(),          p.b0.data(),     p.b1.data(),           p.gradient.data(),
                 p.lower.data(),      p.upper.data(),  p.column_scale.data(), p.row_scale.data(),
                 p.state.data(),      p.torque.data(), p.step.data(),         p.curvature.data(),
-                p.approach_s.data(), p.soft.data()};
+                p.approach_s.data(), p.soft.data(),   p.kept.data(),         p.kept_slope.data()};
     void *library = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL); // stays: others may use it
     if (!library)
         throw std::runtime_error(std::string("cannot load the compiled solver: ") + dlerror());

@@ -14,6 +14,8 @@ struct riccati_problem {
     const double *step;              // ... its torque steps (w, N), which are in neither
     const double *curvature;         // (2n, 2n(N+1)), unscaled, on top of `state`; or NULL
     const double *approach_s, *soft; // (n,): T of the soft limits, and their weight
+    // Rows of the task's own after the first node, unscaled: values (r, N) and slopes (r, 2nN).
+    const double *kept, *kept_slope;
 };
 
 struct riccati_answer {

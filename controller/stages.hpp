@@ -20,5 +20,7 @@ struct Stages {
     Matrix column_scale, row_scale;           // of variables and constraints
     Matrix state, torque, step; // Hessian: diagonals (2n, N+1) and (w, N+1), steps (w, N)
     Matrix curvature;           // (2n, 2n(N+1)), unscaled, on top of `state`; or nothing
-    Matrix approach_s, soft;    // (n,): T, and the slacks' weight
+    // Rows of the task's own after the first node, unscaled: values (r, N) and slopes (r, 2nN).
+    Matrix kept, kept_slope;
+    Matrix approach_s, soft; // (n,): T, and the slacks' weight
 };

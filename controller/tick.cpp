@@ -31,8 +31,9 @@ void Tick::prepare() {
     ready = solver.update();
 }
 
-// The answer is used if the solver says so, all its numbers are finite and of sane size, and the
-// residual as we compute it is small. Otherwise the solver is to begin anew.
+// The answer is used if the solver says so, all its numbers are finite and those of the motion of sane
+// size (slacks may be what a task makes of them), and the residual as we compute it is small. Otherwise
+// the solver is to begin anew.
 void Tick::solve(Feedback &f) {
     f.accepted = false;
     f.answer = {}; // what the last program's was says nothing of this one
@@ -43,9 +44,10 @@ void Tick::solve(Feedback &f) {
             f.answer = solver.solve(z.data());
     } catch (const std::exception &) { // no answer
     }
-    bool sane = std::all_of(z.data(), z.data() + z.size(), [](double v) {
-        return std::abs(v) < SANE_MAX; // not for one that is not a number
-    });
+    const double *begin = z.data(), *end = begin + z.size();
+    const double *slacks = begin + sqp.x.size() + sqp.u.size() / sqp.d.size() * sqp.driven.size();
+    bool sane = std::all_of(begin, slacks, [](double v) { return std::abs(v) < SANE_MAX; }) &&
+                std::all_of(slacks, end, [](double v) { return std::isfinite(v); });
     if (f.answer.good && sane) {
         generated_run(&judge.generated);
         const double *judged = residual.data();

@@ -40,14 +40,14 @@ return [
 
 
 def by_hand(x: Array, time_s: float, share: float, weight: float) -> float:
-    """What BODY says, with pinocchio's kinematics."""
+    """What BODY says, with pinocchio's kinematics. What it keeps below is a row, and no part of
+    it."""
     model = machine_of("furuta").model
     data = model.createData()
     pin.framesForwardKinematics(model, data, x[:2])
     tip = data.oMf[model.getFrameId("tip")].translation - [0.1, 0.2, time_s]
     swing = np.sin(x[1]) * x[2:] - [0.3, 0.1]
-    above = max(x[0] - 0.2, 0)
-    return float(weight * share * tip @ tip + 3 * swing @ swing + 5 * above**2)
+    return float(weight * share * tip @ tip + 3 * swing @ swing)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -107,8 +107,8 @@ def test_energies_and_places_are_pinocchios(name: str) -> None:
         ("angle = s.q[7]\nreturn []", 4, "ut of bounds"),
         ("s.place('nose')\nreturn []", 4, "the model has no nose; it has"),
         ("x = 1\nreturn s.q", 5, "returns a SX, not a list of terms"),
-        ("return [\n    (s.v[0], 1),\n    (s.q.T, 1),\n]", 6, "a residual of 1 by 2"),
-        ("return [(s.q[0], s.q)]", 4, "a weight of 2 by 1"),
+        ("return [\n    (s.v[0], 1),\n    (s.q.T, 1),\n]", 6, "residual and weight of 1 by 2"),
+        ("return [(s.q[0], s.q)]", 4, "and of 2 by 1"),
         ("return [(s.q[0], s.v[0])]", 4, "a weight that depends on q or v"),
         ("return [(s.q[0], -1.0)]", 4, "a negative weight"),
         ("return [s.q[0]]", 4, "term 0 is"),
@@ -116,6 +116,20 @@ def test_energies_and_places_are_pinocchios(name: str) -> None:
         ("return [(ca.sqrt(1 - ca.cos(s.q[0])), 1)]", 4, "has no slope"),
         ("return [(ca.floor(s.q[0]), 1.0)]", 4, "not differentiable: it has floor"),
         ("s.keep_below(ca.sign(s.q[0]), 1)\nreturn []", 4, "keep_below 0 is not"),
+        ("s.keep_below(s.q.T, 1)\nreturn []", 4, "expression and weight of 1 by 2"),
+        ("s.keep_below(s.q, s.v[0])\nreturn []", 4, "a weight that depends on q or v"),
+        ("s.keep_below('q', 1)\nreturn []", 4, "keep_below 0 is of a str and a int, not"),
+        ("s.keep_below(ca.SX.sym('q_0'), 1)\nreturn []", 4, "0 has a symbol of its own, q_0"),
+        ("return [(s.q[0], ca.SX.sym('w'))]", 4, "term 0 has a symbol of its own, w"),
+        ("s.keep_below(1e300 * s.q, 1)\nreturn []", 4, r"whose root makes it .*e\+300: "),
+        ("s.keep_below(0, 1)\ns.keep_below(ca.sqrt(s.q[0]), 1)\nreturn []", 5,
+         "keep_below 1 is not a number"),
+        ("s.keep_below(s.q[0], float('nan'))\nreturn []", 4, "keep_below 0 is not a number"),
+        ("s.keep_below(s.q[0], 1 - s.time_s)\nreturn []", 4, "keep_below 0 has a negative weight"),
+        ("s.keep_below(s.q[0], 2e12)\nreturn []", 4, r"a weight of 2e\+12, .* 1e\+12"),
+        ("s.keep_below(ca.if_else(s.q[0] > 1, 1, 0), 1)\nreturn []", 4, "0 .* it jumps at"),
+        ("for _ in range(17):\n    s.keep_below(s.q, 1)\nreturn []", 5,
+         "keep_below 16 makes it 34 rows at a node, and 32 are the most"),
         ("return [(ca.if_else(s.q[0] > 0.3, 1, 0), 1)]", 4, "not differentiable: it jumps at"),
         ("x = 0\nreturn [(s.q[0] * (s.v[1] <= 2), 1)]", 5, "not differentiable: it jumps at"),
     ],
@@ -124,6 +138,11 @@ def test_mistakes_are_told_with_their_line(tmp_path: Path, body: str, line: int,
     with pytest.raises(ValueError, match=told) as error:
         costs_of(tmp_path, body)
     assert f"costs.py:{line}: " in str(error.value)
+
+
+def test_kinks_are_taken(tmp_path: Path) -> None:
+    body = "s.keep_below(ca.fabs(s.v) - 1, 1)\nreturn [(ca.fmax(ca.fabs(s.q[0]) - 1, 0), 1)]"
+    assert costs_of(tmp_path, body).rows == 2
 
 
 def test_a_choice_that_does_not_jump_is_one(tmp_path: Path) -> None:
