@@ -39,8 +39,9 @@ size_t History::insert(const std::vector<Sample> &more) {
 }
 
 int64_t History::time_us(size_t row) const {
-    const int64_t at_us = samples[row].time_us;
-    return std::max(at_us - at_us % bundle_us, begun_us);
+    const int64_t at_us = samples[row].time_us,
+                  into_us = (at_us % bundle_us + bundle_us) % bundle_us;
+    return std::max(at_us - into_us, begun_us);
 }
 
 void History::forget(size_t row) {

@@ -50,11 +50,10 @@ template <typename T> static auto array(std::vector<T> &&values, size_t rows, si
     return nb::ndarray<nb::numpy, T, nb::ndim<2>>(owned->data(), {rows, columns}, owner);
 }
 
-static auto vector(std::vector<double> &&values) {
-    auto *owned = new std::vector<double>(std::move(values));
-    nb::capsule owner(owned,
-                      [](void *p) noexcept { delete static_cast<std::vector<double> *>(p); });
-    return nb::ndarray<nb::numpy, double, nb::ndim<1>>(owned->data(), {owned->size()}, owner);
+template <typename T> static auto vector(std::vector<T> &&values) {
+    auto *owned = new std::vector<T>(std::move(values));
+    nb::capsule owner(owned, [](void *p) noexcept { delete static_cast<std::vector<T> *>(p); });
+    return nb::ndarray<nb::numpy, T, nb::ndim<1>>(owned->data(), {owned->size()}, owner);
 }
 
 // Steps through times, and the tracks at their starts, middles and ends.
@@ -78,9 +77,7 @@ struct Way {
   private:
     void ask(const Filter &filter, const double *near, const nb::object &tracks) {
         auto begin = vector(std::vector<double>(near, near + filter.axes()));
-        nb::list times;
-        for (int64_t time_us : times_us)
-            times.append(time_us);
+        auto times = vector(std::vector<int64_t>(times_us));
         auto table = nb::cast<Table>(tracks.attr("at")(times, begin));
         if (table.shape(0) != times_us.size() || table.shape(1) != width)
             throw std::invalid_argument("tracks of another size than the steps");

@@ -54,7 +54,7 @@ def estimator(**changes: float) -> Estimator:
     return Estimator(prediction(), EstimatorConfig(**changes), np.full(2, PITCH))  # type: ignore[arg-type]
 
 
-START_US = 1_700_000_000_000_000
+START_US = 1_700_000_000_000_100  # within a bundle's cell
 
 
 class Waves:
@@ -87,7 +87,7 @@ def arrivals(draw: st.DrawFn) -> tuple[list[Sample], list[list[Sample]]]:
     """Samples in order, and the same in some order, in batches, some of them twice."""
     keys = draw(
         st.lists(
-            st.tuples(st.integers(START_US + 1, START_US + 60_000), st.integers(0, 1)),
+            st.tuples(st.integers(START_US, START_US + 60_000), st.integers(0, 1)),
             min_size=1,
             max_size=24,
             unique=True,

@@ -144,6 +144,14 @@ def test_the_gate_of_several_takes_what_each_takes(seed: int, odd: int, step: in
     ]
     first = next(((i, result) for i, result in enumerate(results) if result), None)
     assert Gate(limits, stored).refusal(4, np.array(points)[:, None], 4) == first
+    assert Gate(limits, stored).refusal(4, np.array(points)[None], 4) == first
+    twice = Gate(limits * 2, stored * 2)  # two devices of three sinks each, the second one's odd
+    good = np.array(points)
+    if odd < 3:
+        good[odd, 20] -= 2 * step
+    result = twice.refusal(4, np.stack((good, np.array(points))), 4)
+    in_second = None if first is None else (3 + first[0], first[1])
+    assert result == (twice.refusal(4, np.stack((good, good)), 4) or in_second)
 
 
 @given(st.integers(0, 2**32), st.booleans(), st.floats(-1e3, 1e3))
