@@ -88,7 +88,7 @@ static void bind_holding(nb::module_ &m) {
         .def("forget", &Holding::forget, "A new epoch: the device drops its tracks.")
         .def(
             "send", &send, "stamps_us"_a, "mark"_a, "number"_a, "epoch"_a, "first_knot"_a,
-            "points"_a,
+            "points"_a.noconvert(),
             "The payload of a plan, a row of points a sink, which from now on is under way. Raises "
             "ValueError for points that a frame cannot carry.")
         .def("settle", &Holding::settle, "status"_a, "patience_us"_a,
@@ -148,7 +148,7 @@ static void bind_gate(nb::module_ &m) {
                 self->kept.insert(self->kept.end(), stored.begin(), stored.end());
             },
             "limits"_a, "stored"_a)
-        .def("refusal", &refusal, "first_knot"_a, "points"_a, "knot"_a,
+        .def("refusal", &refusal, "first_knot"_a, "points"_a.noconvert(), "knot"_a,
              "Of points from a knot on (devices, sinks, m), a row a track, at a knot: the first "
              "row that it would not take, and why, as in firmware/gate.h; None if it takes all.");
 }

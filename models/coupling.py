@@ -40,8 +40,8 @@ class Coupling:
         return rows
 
     def axes(self, joints: Array) -> Array:
-        """The other way."""
-        if self._none:  # most machines, each simulated millisecond
+        """The other way; with a motor at each joint they are the same, and this array."""
+        if self._none:
             return joints
         rows: Array = joints @ self.axes_by_joints.T
         return rows

@@ -1,11 +1,10 @@
 """What a tick costs around its compiled calls, in closed loop: of arm2's ticks and of arm6's.
 
-Time is the thread's; the simulated link's, which no machine has, is left out. Compiled calls
-are `prepare` and `feedback` of controller/program.py, with all
-that they write into their arrays; the estimator's filter counts as Python. A tick whose samples
-came late, so that the filter goes over later ones again, is told apart: of those with more than the
-median number of such rows. To ask that clock is a call of the system: what the measuring itself
-takes is measured first and left out.
+Time is the thread's; the simulated link's, which no machine has, is left out. Compiled calls are
+`prepare` and `feedback` of controller/program.py, with all that they write into their arrays; the
+estimator's filter counts as Python. A tick whose samples came late, so that the filter goes over
+later ones again, is told apart: of those with more than the median number of such rows. To ask that
+clock is a call of the system: what the measuring itself takes is measured first and left out.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class Lane:
     measured: int | None = None  # intervals of the grid whose costs are counted; None: SHIPPED
     replies: list[Reply] = field(default_factory=list)
     costs: list[float] = field(default_factory=list)
-    over: list[Array] = field(default_factory=list)  # of speed and position limits, true state
+    over: list[Array] = field(default_factory=list)  # by how much a plan is beyond limits
     active: int = 0  # ticks whose plan touches a limit
 
     def __post_init__(self) -> None:
@@ -110,6 +110,7 @@ class Lane:
         self.active += bool(
             (np.abs(u) > 0.999 * limits.torque.T).any()
             or (speed > 0.999 * SPEED_SHARE).any()
+            or (acceleration > 0.999 * ACCELERATION_SHARE).any()
             or (beyond[:, 1:] > -1e-4).any()
         )
 
