@@ -52,7 +52,7 @@ def test_a_reference_beyond_the_limits_is_followed_up_to_them(
     def told(loop: Loop, now_us, points, rolled, commit_knot):  # type: ignore[no-untyped-def]
         good = passes(loop, now_us, points, rolled, commit_knot)
         for remote, limits, plan in zip(loop._remotes, loop._limits, points, strict=True):
-            for sink, on_track in plan.items():
+            for sink, on_track in enumerate(plan):
                 at = commit_knot - 1
                 refused.append(
                     core.gate_check_track(limits[sink], remote.track(sink), at, on_track, at)
