@@ -178,8 +178,11 @@ class Gains:
         """What devices with such tracks execute; `tracks` has a row of them, by sink, for each
         driven axis, as `units` are."""
         by_sink = list(zip(*tracks, strict=True))
-        kp, kd = ([*by_sink[s]] if self.sinks else [] for s in (core.TRACK_KP, core.TRACK_KD))
-        some = self.driven if self.sinks else []
+        kp, kd, none, constant = core.TRACK_KP, core.TRACK_KD, list[core.Track](), np.empty(0)
+        gains = none, none, constant, constant, constant
+        if self.sinks:
+            scales = self._per_mantissa[kp], self._per_mantissa[kd], self._law.emf[self.driven]
+            gains = [*by_sink[kp]], [*by_sink[kd]], *scales
         return Course(
             self.driven,
             [*by_sink[core.TRACK_POSITION]],
@@ -189,9 +192,5 @@ class Gains:
             [u.continuous for u in units],
             self._shift,
             np.concatenate((np.zeros(3 * self.axes), self._law.feedback)),
-            kp,
-            kd,
-            self._per_mantissa[core.TRACK_KP][: len(some)],
-            self._per_mantissa[core.TRACK_KD][: len(some)],
-            self._law.emf[some],
+            *gains,
         )

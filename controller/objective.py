@@ -12,7 +12,7 @@ from __future__ import annotations
 import ast
 import inspect
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -285,12 +285,7 @@ def _checked(
     if rough:
         words = f"{name} is not differentiable: it has {', '.join(sorted(rough))}"
         raise _wrong(source, line, words)
-    rng, n = np.random.default_rng(0), symbols.q.numel()
-    every = symbols.values
-    for trial in range(TRIALS):
-        state = np.zeros(2 * n) if trial == 0 else rng.uniform(-np.pi, np.pi, 2 * n)
-        values = every[trial % len(every)]
-        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+    for state, found in _tried(symbols, function):
         if not all(np.isfinite(np.array(part)).all() for part in found):
             at = ", ".join(f"{value:.4g}" for value in state)
             words = f"{name} is not a number, or has no slope, at [q, v] = [{at}]"
@@ -302,17 +297,23 @@ def _checked(
     return residual, weight
 
 
+def _tried(symbols: Symbols, function: ca.Function) -> Iterator[tuple[Array, Any]]:
+    """A function at zero and at states at random, in turn with each of the parameters' values:
+    the states (2n,), and what it makes of them."""
+    rng, size = np.random.default_rng(0), symbols.x.numel()
+    for trial in range(TRIALS):
+        state = np.zeros(size) if trial == 0 else rng.uniform(-np.pi, np.pi, size)
+        values = symbols.values[trial % len(symbols.values)]
+        yield state, function(state, rng.uniform(0, 10), rng.uniform(), values)
+
+
 def _require_moderate(source: Path, line: int, symbols: Symbols, name: str, term: Term) -> None:
     """Raises ValueError for what would leave a solver no accuracy for anything else."""
     expression, weight = term
     size = ca.sqrt(weight) * ca.vertcat(expression, ca.vec(ca.jacobian(expression, symbols.x)))
     inputs = [symbols.x, symbols.time_s, symbols.share, symbols.numbers]
     function = ca.Function("size", inputs, [weight, ca.mmax(ca.fabs(ca.vertcat(0, size)))])
-    rng = np.random.default_rng(2)
-    for trial in range(TRIALS):
-        state = rng.uniform(-np.pi, np.pi, symbols.x.numel())
-        values = symbols.values[trial % len(symbols.values)]
-        found = function(state, rng.uniform(0, 10), rng.uniform(), values)
+    for _, found in _tried(symbols, function):
         weighs, largest = (float(part) for part in found)
         if weighs > KEPT_WEIGHT_MAX or largest > KEPT_SIZE_MAX:
             words = (

@@ -195,5 +195,5 @@ class Node:
         """What the device's clock shows at a true time."""
 
     def truth(self, true_us: int, time_us: int) -> tuple[int, int, int, int, int, int]:
-        """Of one instant, by true and by system time: the setpoint, the servo's torque before and
-        after its ceiling, and by how much the device's clock is ahead."""
+        """Of one instant, by true and by system time: the setpoint, the servo's torque after and
+        before its ceiling, and by how much the device's clock is ahead."""

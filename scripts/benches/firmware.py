@@ -77,9 +77,9 @@ def row(name: str, cycles: list[int]) -> dict[str, Any]:
     return {"what": name, "mean": float(np.mean(cycles)), "max": float(max(cycles))}
 
 
-def life(core: Emulator, us: int) -> list[Tally]:
-    """The polls of a device at work."""
-    scene = Scene()
+def life(core: Emulator, us: int, **of_scene: Any) -> list[Tally]:
+    """The polls of a device at work; `of_scene` goes to its Scene."""
+    scene = Scene(**of_scene)
     twin = scene.emulate(core)
     scene.run(us)
     return twin.tallies
@@ -88,14 +88,6 @@ def life(core: Emulator, us: int) -> list[Tally]:
 def as_a_whole(file: Path) -> Emulator:
     """A core with the firmware built as one unit."""
     return Emulator(file, ("device_poll", *REPORTS))
-
-
-def nodes_apart(core: Emulator, us: int) -> list[Tally]:
-    """The same of a device whose nodes are of kinds that take longer."""
-    scene = Scene(kinds=("edge", "add"))
-    twin = scene.emulate(core)
-    scene.run(us)
-    return ticks_of(twin.tallies)
 
 
 def left_alone(core: Emulator) -> dict[State, list[Tally]]:
@@ -221,7 +213,7 @@ def measure(us: int) -> tuple[Rows, Rows, Rows, Rows]:
     with tempfile.TemporaryDirectory() as folder:
         _, file, ticks_seen = whole(Path(folder), us)
         ticks = [cost(t) for t in ticks_seen]
-        other_nodes = nodes_apart(as_a_whole(file), us)
+        other_nodes = ticks_of(life(as_a_whole(file), us, kinds=("edge", "add")))
         alone = left_alone(as_a_whole(file))
         image = compile_firmware(Path(folder) / "firmware.elf")
         core = Emulator(image, ("device_poll", "inbox_take", *REPORTS, *KERNELS, *PARTS))

@@ -101,25 +101,16 @@ def main() -> None:
         ticks = run(machine, 20.0 if options.long else 4.0)
         replayed = np.array([tick["replayed"] for tick in ticks])
         late = replayed > np.median(replayed)
-        parts = {
+        parts: dict[str, Callable[[dict[str, float]], float]] = {
             "read": lambda t: t["read"] - t["arrive"],
             "estimate": lambda t: t["estimate"],
             "the rest of the decision": lambda t: t["tick"] - t["estimate"] - t["feedback"],
             "write, and the next problem's guess": lambda t: t["write"] - t["leave"] - t["prepare"],
             "record": lambda t: t["record"],
-            "all around the compiled calls": lambda t: (
-                t["read"]
-                + t["tick"]
-                + t["write"]
-                + t["record"]
-                - t["arrive"]
-                - t["leave"]
-                - t["feedback"]
-                - t["prepare"]
-            ),
         }
-        for name, part in parts.items():
-            took = np.array([part(tick) for tick in ticks])
+        spent = {name: np.array([part(t) for t in ticks]) for name, part in parts.items()}
+        spent["all around the compiled calls"] = sum(spent.values(), np.zeros(len(ticks)))
+        for name, took in spent.items():
             rows.append({
                 "machine": machine, "part": name, "p50 us": float(np.median(took[~late])),
                 "p99": float(np.percentile(took[~late], 99)),

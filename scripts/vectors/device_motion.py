@@ -464,6 +464,14 @@ def switched(b: Bench) -> None:
             b.go(20)
 
 
+def _tried(b: Bench, off_counts: int, periods: int) -> None:
+    """It follows its plan's end, off by so much for so long."""
+    b.go(24)
+    b.set(position=321 - off_counts)
+    b.run(periods)
+    b.expect("COAST")
+
+
 def succeeding(b: Bench) -> None:
     """A plan begins at once where something else ends: nothing of that one's stays."""
     b.scene("ARM, and a plan before the next period", IDLE)
@@ -472,20 +480,14 @@ def succeeding(b: Bench) -> None:
     b.give(b.plan(b.knot + AHEAD, at_rest(20)))
     b.run(2, step_us=10)
     b.set(speed_q16=0)
-    b.go(24)
-    b.set(position=321 - 20)
-    b.run(9)
-    b.expect("COAST")
+    _tried(b, 20, 9)
     b.scene("JOG of 0, and a plan as it ends", ARMED)
     b.orders("JOG", "DONE", "ARMED", 0)
     b.go(8)
     b.give(b.seal(_core.FRAME_COMMAND, b.command("JOG", 0)))
     b.give(b.plan(b.knot + AHEAD, at_rest(20)))
     b.set(speed_q16=0)
-    b.go(24)
-    b.set(position=321 - 150)
-    b.run(2)
-    b.expect("COAST")
+    _tried(b, 150, 2)
     b.scene("HOLD, RESUME, and a plan before the next period: the integral rests", ARMED)
     b.plans("accepted", b.knot + AHEAD, at_rest(9))
     b.until("HOLD", 300)
@@ -494,10 +496,7 @@ def succeeding(b: Bench) -> None:
     b.give(b.seal(_core.FRAME_COMMAND, b.command("RESUME")))
     b.give(b.plan(b.knot + AHEAD, at_rest(20)))
     b.run(2, step_us=10)
-    b.go(24)
-    b.set(position=321 - 20)
-    b.run(9)
-    b.expect("COAST")
+    _tried(b, 20, 9)
 
 
 def steps(b: Bench) -> None:
