@@ -128,6 +128,7 @@ class Filter:
 
     def __init__(
         self,
+        rate: Bound,
         slope: Bound,
         acceleration: Array,
         walk: Array,
@@ -140,7 +141,8 @@ class Filter:
         step_us: int,
     ) -> None:
         """`rows`: room for so many samples at first; `bundle_us`, `step_us`: the longest bundle and
-        step. Raises ValueError for arrays of other sizes than the slope's."""
+        step. Raises ValueError for arrays of other sizes than the slope's, and for a rate that
+        does not share them."""
 
     def reset(self, time_us: int, z: Array, covariance: Array) -> None:
         """Forgets all samples."""

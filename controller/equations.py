@@ -44,22 +44,24 @@ class Equations:
         torque = servo_torque(ca.vertsplit(tracks, n), q, v)
         servo = ca.fmin(ca.fmax(torque, -limit), limit)
 
+        names = ["x", "control", "d", "law"]
+
         def slope(name: str, drive: Any, control: Any) -> Any:
             net = drive + d - friction
             a, by_state, by_torque = forward_derivatives(tree, q, v, net)
             by_state += by_torque @ ca.jacobian(net, x)
             result = [ca.vertcat(v, a), ca.densify(by_state), ca.densify(by_torque)]
-            return ca.Function(name, [x, control, d, law], ca.cse(result))
+            outputs = ["rate", "by_state", "by_torque"]
+            return ca.Function(name, [x, control, d, law], ca.cse(result), names, outputs)
 
         self.driven_slope = slope("driven_slope", u, u)
         self.servoed_slope = slope("slope", servo, tracks)
         motion = ca.vertcat(v, forward_dynamics(tree, q, v, servo + d - friction))
-        self.servoed = ca.Function("servoed", [x, tracks, d, law], [motion])
+        self.servoed = ca.Function("servoed", [x, tracks, d, law], [motion], names, ["rate"])
         needed = inverse_dynamics(tree, q, v, a) + friction
         self.given = ca.Function("given", [x, tracks, law], [servo])
-        names = ["q", "v", "a", "law"]
         self.inverse = ca.Function(
-            "inverse", [q, v, a, law], [ca.densify(needed)], names, ["effort"]
+            "inverse", [q, v, a, law], [ca.densify(needed)], ["q", "v", "a", "law"], ["effort"]
         )
 
 

@@ -83,10 +83,11 @@ class Estimator:
             sigma[axis], walk[axis] = rest_sigma, 0.0
         start = np.concatenate((sigma**2, START_WALK_S * walk))
         self._start_covariance = np.diag(start)
-        slope = prediction.call("slope").bound  # with arrays of its own
+        pool = dict[str, Array]()  # the arrays that both work on
+        rate, slope = (prediction.call(name, pool).bound for name in ("servoed", "slope"))
         outlier = config.gate_sigma**2, REJECTED_IN_A_ROW
         spans = ROWS, BUNDLE_US, STEP_MAX_US
-        self._filter = Filter(slope, acceleration, walk, reading, start, *outlier, *spans)
+        self._filter = Filter(rate, slope, acceleration, walk, reading, start, *outlier, *spans)
 
     def reset(self, time_us: int, position: Array) -> None:
         """Starts at rest at a known position; all history is forgotten."""

@@ -41,9 +41,10 @@ struct Statistics {
 
 class Filter {
   public:
-    // `rows`, `bundle_us`: see History; `step_us`: the longest step.
-    Filter(Bound &slope, Noise noise, Outliers outliers, size_t rows, int64_t bundle_us,
-           int64_t step_us);
+    // `slope`: x, tracks, d and the law to x' and the accelerations' Jacobians in x and in d; `rate`, on
+    // the same arrays: to x' alone. `rows`, `bundle_us`: see History; `step_us`: the longest step.
+    Filter(Bound &rate, Bound &slope, Noise noise, Outliers outliers, size_t rows,
+           int64_t bundle_us, int64_t step_us);
 
     size_t axes() const { return n; }
     size_t track_rows() const; // at one time
@@ -74,12 +75,12 @@ class Filter {
     void correct(double *z, double *covariance, size_t row);
     void take_in(double *z, double *covariance, int64_t time_us);
 
-    Bound &slope; // x, tracks, d to x', the accelerations' Jacobians in x and in d
+    Bound &rate, &slope;
     Noise noise;
     Outliers outliers;
     size_t n;
-    // Working memory: F P; P H'; K; x after a step and its Jacobian F; at a stage x and, by rows, its
-    // Jacobian S, that one's rate and the sum of those; S as a step begins.
-    std::vector<double> carried, column, gain, after, jacobian, x, s, ds, sum, one;
+    // Working memory: F P; P H'; K; x after a step and its Jacobian F; by rows, that one's series so
+    // far and its rate.
+    std::vector<double> carried, column, gain, after, jacobian, s, ds;
     std::vector<double> acceleration; // in the last step, on average
 };

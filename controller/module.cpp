@@ -159,18 +159,21 @@ static void bind_filter(nb::module_ &m) {
     nb::class_<Filter>(m, "Filter", "An extended Kalman filter over z = [q, v, d].")
         .def(
             "__init__",
-            [](Filter *self, Bound &slope, Array acceleration, Array walk, Array reading,
-               Array start, double nis_max, int64_t in_a_row, size_t rows, int64_t bundle_us,
-               int64_t step_us) {
+            [](Filter *self, Bound &rate, Bound &slope, Array acceleration, Array walk,
+               Array reading, Array start, double nis_max, int64_t in_a_row, size_t rows,
+               int64_t bundle_us, int64_t step_us) {
                 if (bundle_us < 1 || step_us < 1)
                     throw std::invalid_argument("bundles or steps of no length");
-                new (self) Filter(slope, {acceleration, walk, reading, start}, {nis_max, in_a_row},
-                                  rows, bundle_us, step_us);
+                new (self) Filter(rate, slope, {acceleration, walk, reading, start},
+                                  {nis_max, in_a_row}, rows, bundle_us, step_us);
             },
-            "slope"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a,
+            "rate"_a, "slope"_a, "acceleration"_a, "walk"_a, "reading"_a, "start"_a, "nis_max"_a,
             "in_a_row"_a, "rows"_a, "bundle_us"_a, "step_us"_a, nb::keep_alive<1, 2>(),
+            nb::keep_alive<1, 3>(),
             "rows: room for so many samples at first; bundle_us, step_us: the longest bundle and "
-            "step. Raises ValueError for arrays of other sizes than the slope's.")
+            "step. Raises ValueError for arrays of other sizes than the slope's, and for a rate "
+            "that "
+            "does not share them.")
         .def(
             "reset",
             [](Filter &filter, int64_t time_us, const Vector &z, const Square &covariance) {

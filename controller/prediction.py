@@ -76,7 +76,8 @@ class Prediction:
     States are x = [q, v] (2n); `tracks` are [r, r', f, Kp, Kd + c] (5n); d is the disturbance
     torque (n).
 
-        slope      x, tracks, d to x', the accelerations' Jacobians in x (n, 2n) and in d (n, n)
+        servoed    x, tracks, d to x'
+        slope      and to the accelerations' Jacobians in x (n, 2n) and in d (n, n)
         rollout    x, d, tracks at start, middle and end, dt, of each of `horizon_knots` steps in a
                    row to each x after, `states`
         linearize  x, torques u0 at start and u1 at end, d, dt, for each of `intervals`
@@ -91,11 +92,12 @@ class Prediction:
         equations = Equations(machine.tree)
         rollout = _advance(equations).mapaccum("rollout", horizon_knots)
         along = equations.inverse.map("along", "serial", horizon_knots + 1, [3], [])
-        functions = [equations.servoed_slope, rollout, equations.given, equations.inverse, along]
+        rates = equations.servoed, equations.servoed_slope
+        functions = [*rates, rollout, equations.given, equations.inverse, along]
         library = compile_functions("machine", functions)
         linearize = compile_mapped("linearize", interval(equations), intervals, [3, 4, 5])
         self._libraries = {"linearize": linearize} | dict.fromkeys(
-            ("slope", "rollout", "given", "inverse", "along"), library
+            ("servoed", "slope", "rollout", "given", "inverse", "along"), library
         )
         self._inverse, self._along = self.call("inverse"), self.call("along")
         self._given = self.call("given")
