@@ -1,12 +1,12 @@
 """What a tick computes: generated functions and a QP solver, in one call (module.cpp)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.controller.estimator import Tracks
-from headway.controller.sample import Sample
+from headway.devices._tracks import Sample, Samples
 from headway.models._generated import Bound
 
 Array = NDArray[np.float64]
@@ -148,11 +148,12 @@ class Filter:
         """Forgets all samples."""
 
     def update(
-        self, samples: list[Sample], now_us: int, tracks: Tracks
+        self, samples: Samples | Iterable[Sample], now_us: int, tracks: Tracks
     ) -> tuple[Array, Array, Array]:
-        """Takes samples in, but for known ones and those older than all that is remembered, and
-        with them those that are later than a new one. Returns z and its covariance then, and the
-        tracks there. Raises ValueError for tracks of another size."""
+        """Takes the samples up to now in, but for known ones and those older than all that is
+        remembered, with those that were taken in before and are later than a new one; and out of
+        the list. Returns z and its covariance then, and the tracks there. Raises ValueError for
+        tracks of another size and samples of no axis."""
 
     def predict(
         self, z: Array, covariance: Array, times_us: list[int], tracks: Tracks

@@ -12,7 +12,7 @@ acceleration (Bar-Shalom, Li, Kirubarajan, Estimation with Applications, 2001, s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from headway.configs.schema import Estimator as EstimatorConfig
 from headway.configs.section import by_axis
 from headway.controller._tick import Filter
 from headway.controller.prediction import Prediction
-from headway.controller.sample import Sample
+from headway.devices._tracks import Sample, Samples
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -94,8 +94,9 @@ class Estimator:
         z = np.concatenate((position, np.zeros(2 * self._n)))
         self._filter.reset(time_us, z, self._start_covariance)
 
-    def update(self, samples: list[Sample], now_us: int, tracks: Tracks) -> Estimate:
-        """The state at `now_us` given all samples so far, these included."""
+    def update(self, samples: Samples | Iterable[Sample], now_us: int, tracks: Tracks) -> Estimate:
+        """The state at `now_us` given all samples so far, these included: they are taken out of a
+        list of the compiled kind, but for those that are later."""
         estimate = Estimate(now_us, *self._filter.update(samples, now_us, tracks))
         self._filter.forget(now_us - HISTORY_US)
         return estimate

@@ -24,7 +24,7 @@ void History::restart(int64_t time_us, const double *z_then, const double *covar
     fill(0);
 }
 
-size_t History::insert(const std::vector<Sample> &more) {
+size_t History::insert(const Samples &more) {
     for (const Sample &sample : more) {
         auto at = std::lower_bound(samples.begin(), samples.end(), sample, before);
         bool known = at != samples.end() && !before(sample, *at);

@@ -5,13 +5,9 @@
 #include <cstdint>
 #include <vector>
 
-struct Sample {
-    int64_t time_us;
-    int64_t axis; // -1: none, the filter as it was begun
-    double position;
-};
+#include "sample.hpp"
 
-// The first row stands for all before it. Samples are few numbers and move when one comes late; what
+// The first row stands for all before it; its sample is of axis -1, of none. Samples are few numbers and move when one comes late; what
 // the filter was after them is many, and lies in a ring, where a row keeps its place.
 class History {
   public:
@@ -24,7 +20,7 @@ class History {
 
     // Puts samples in their places, but for known ones and those older than all that is remembered.
     // Returns how many rows the filter has to fill in anew: the last ones.
-    size_t insert(const std::vector<Sample> &more);
+    size_t insert(const Samples &more);
 
     // Forgets the rows before one.
     void forget(size_t row);
@@ -48,7 +44,7 @@ class History {
 
     size_t n, width, room, begin = 0, filled_ = 0;
     int64_t bundle_us, begun_us = 0;
-    std::vector<Sample> samples;
+    Samples samples;
     std::vector<double> states;
     std::vector<int64_t> outliers;
 };

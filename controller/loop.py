@@ -31,12 +31,11 @@ from headway.controller.observable import require_observable
 from headway.controller.prediction import Prediction
 from headway.controller.record.recorder import Recorder
 from headway.controller.reference import ENTRY_S, Entry, Reference, own_costs
-from headway.controller.sample import Sample
 from headway.controller.start import Start
 from headway.controller.tick import DeviceError, Outbox, Phase, Tick
 from headway.controller.tracks import Encoder
 from headway.devices import core
-from headway.devices._tracks import Gate
+from headway.devices._tracks import Gate, Odometer, Samples
 from headway.devices.axis import AxisUnits, position_limits, torque_limits, whole_turns
 from headway.devices.link import Link
 from headway.devices.remote import Points, Remote
@@ -94,10 +93,11 @@ class Loop:
                 f"{core.PLAN_POINTS_MAX}: choose a longer knot or a shorter horizon"
             )
         self._prediction = Prediction.of(config, machine)
-        self._unit_per_count = [u.unit_per_count for u in self._units]
         bare = config.machine.bare
         require_observable(config, machine, reference.at(np.zeros(1))[0][0])
-        pitch = np.array(self._unit_per_count + [np.inf] * len(bare))
+        unit_per_count = [u.unit_per_count for u in self._units]
+        self._odometers = [Odometer(*each) for each in enumerate(unit_per_count)]
+        pitch = np.array(unit_per_count + [np.inf] * len(bare))
         rest_sigma = {i: axis.rest_sigma for i, axis in bare.items()}
         self.estimator = Estimator(self._prediction, config.estimator, pitch, rest_sigma)
         gains = Gains(config, machine, points)
@@ -123,7 +123,7 @@ class Loop:
         self._prepared: int | None = None  # commit knot of the problem that is ready
         self._wanted = np.empty((0, 0))  # the reference at that problem's nodes
         self._disturbance = np.zeros(self._prediction.n)  # as last estimated, and planned for
-        self.samples: list[Sample] = []  # received, not yet estimated from
+        self.samples = Samples()  # received, not yet estimated from
         self._start = Start(config, remotes, self._units, self._prediction, gains)
         self.phase = Phase.HELLO
         self.start_us = 0  # task time zero
@@ -132,11 +132,10 @@ class Loop:
         """Takes in all that has arrived."""
         packets, good = link.receive(now_us), []
         for device, received_us, packet in packets:
-            samples = self._remotes[device].receive(packet, received_us)
-            good.append(samples is not None)
-            if samples:
-                scale = self._unit_per_count[device]
-                self.samples += [Sample(at_us, device, count * scale) for at_us, count in samples]
+            status = self._remotes[device].receive(packet, received_us)
+            good.append(status is not None)
+            if status is not None:
+                self._odometers[device].read(status, self.samples)
         self._recorder.add(("received", now_us, (packets, good)))
 
     def tick(self, now_us: int) -> tuple[Tick, Outbox]:
@@ -213,12 +212,9 @@ class Loop:
         return self._join(knot, commit_knot, points)
 
     def _estimate(self, now_us: int, knot: int) -> tuple[Estimate, Estimate]:
-        # A clock that is ahead by more than its frame was under way stamps what is yet to come.
-        due, early = self.samples, [each for each in self.samples if each.time_us > now_us]
-        if early:
-            due = [sample for sample in due if sample.time_us <= now_us]
-        self.samples = early
-        now = self.estimator.update(due, now_us, self._committed)
+        # What is yet to come stays among the samples: a clock that is ahead by more than its frame
+        # was under way stamps such.
+        now = self.estimator.update(self.samples, now_us, self._committed)
         if not all(map(math.isfinite, now.z.tolist())):
             raise DeviceError(
                 "the estimated state has diverged: `headway check` says whether a joint is too "

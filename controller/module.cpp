@@ -15,7 +15,10 @@
 #include "hpipm.hpp"
 #include "osqp.hpp"
 #include "riccati.hpp"
+#include "sample.hpp"
 #include "tick.hpp"
+
+NB_MAKE_OPAQUE(Samples) // as in devices/module.cpp
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -101,22 +104,20 @@ static void check(const Filter &filter, const Vector &z, const Square &covarianc
         throw std::invalid_argument("a state of another size than the filter's");
 }
 
-static void insert(Filter &filter, const nb::list &samples) {
-    std::vector<Sample> heard;
-    heard.reserve(samples.size());
-    for (nb::handle each : samples) {
-        auto sample = nb::cast<nb::tuple>(each);
-        heard.push_back({nb::cast<int64_t>(sample[0]), nb::cast<int64_t>(sample[1]),
-                         nb::cast<double>(sample[2])});
-        if (heard.back().axis < 0 || heard.back().axis >= (int64_t)filter.axes())
+// Takes in the samples up to now, and out of the list.
+static void take(Filter &filter, Samples &samples, int64_t now_us) {
+    for (const Sample &each : samples)
+        if (each.axis < 0 || each.axis >= (int64_t)filter.axes())
             throw std::invalid_argument("a sample of an axis that there is not");
-    }
-    filter.statistics.taken += (int64_t)filter.history.insert(heard);
+    auto early = std::stable_partition(samples.begin(), samples.end(),
+                                       [=](const Sample &each) { return each.time_us <= now_us; });
+    filter.statistics.taken += (int64_t)filter.history.insert({samples.begin(), early});
+    samples.erase(samples.begin(), early);
 }
 
-static nb::tuple update(Filter &filter, const nb::list &samples, int64_t now_us,
+static nb::tuple update(Filter &filter, Samples &samples, int64_t now_us,
                         const nb::object &tracks) {
-    insert(filter, samples);
+    take(filter, samples, now_us);
     const double *begin = filter.history.z(filter.history.filled() - 1);
     Way way(filter, steps_through(filter.times_to(now_us), filter.step_us), begin, tracks);
     size_t n = 3 * filter.axes();
@@ -181,11 +182,13 @@ static void bind_filter(nb::module_ &m) {
                 filter.history.restart(time_us, z.data(), covariance.data());
             },
             "time_us"_a, "z"_a, "covariance"_a, "Forgets all samples.")
-        .def(
-            "update", &update, "samples"_a, "now_us"_a, "tracks"_a,
-            "Takes samples in, but for known ones and those older than all that is remembered, and "
-            "with them those that are later than a new one. Returns z and its covariance then, and "
-            "the tracks there. Raises ValueError for tracks of another size.")
+        .def("update", &update, "samples"_a, "now_us"_a, "tracks"_a,
+             "Takes the samples up to now in, but for known ones and those older than all that is "
+             "remembered, with those that were taken in before and are later than a new one; and "
+             "out "
+             "of the list. Returns z and its covariance then, and "
+             "the tracks there. Raises ValueError for tracks of another size and samples of no "
+             "axis.")
         .def("predict", &predict, "z"_a, "covariance"_a, "times_us"_a, "tracks"_a,
              "The two carried through times, and the tracks there. Raises ValueError for other "
              "sizes.")

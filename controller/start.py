@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from headway.configs.schema import Config
 from headway.controller.gains import Gains
 from headway.controller.prediction import Prediction
-from headway.controller.sample import Sample
 from headway.controller.settle import NO_SESSION, Settle
 from headway.controller.tick import DeviceError, Outbox, Phase
 from headway.devices import core
+from headway.devices._tracks import Samples
 from headway.devices.axis import AxisUnits
 from headway.devices.remote import Points, Remote
 from headway.devices.stop import why
@@ -64,7 +64,7 @@ class Start:
         self.knot = 0
         self.position = self.torque = np.zeros(prediction.n)
 
-    def tick(self, knot: int, samples: list[Sample]) -> Outbox:
+    def tick(self, knot: int, samples: Samples) -> Outbox:
         """What to send at a knot. Samples are taken out of the list once they are of no more use.
 
         Raises DeviceError if a device does not answer, does not settle, sends no samples or refuses
@@ -107,7 +107,7 @@ class Start:
             raise DeviceError("; ".join(silent))
         return not silent
 
-    def _stand(self, samples: list[Sample]) -> None:
+    def _stand(self, samples: Samples) -> None:
         """Where the machine stands, and what holds it there. Nothing is known of a machine that has
         to be homed: then its brakes hold it."""
         self.position = self._standing_at(samples)
@@ -123,7 +123,7 @@ class Start:
                 assert remote.status is not None
                 self.torque[device] = remote.status.holding_tq / units.tq_per_effort
 
-    def _stands(self, samples: list[Sample]) -> bool:
+    def _stands(self, samples: Samples) -> bool:
         """Whether every device knows where it is, and has told it for a while under its torque."""
         lost = [r for r in self._remotes if not (r.status and r.status.homed)]
         if lost and not self._homing:
@@ -188,7 +188,7 @@ class Start:
             )
         return False
 
-    def _standing_at(self, samples: list[Sample]) -> Array:
+    def _standing_at(self, samples: Samples) -> Array:
         """Median of the last samples of each axis: an outlier does not move it. Those without an
         encoder are where the config says."""
         medians = []

@@ -1,6 +1,6 @@
-"""Tracks as the host has them (module.cpp)."""
+"""Tracks and encoders as the host has them (module.cpp)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,3 +83,41 @@ class Course(Along):
     def points(self, first_knot: int, near: Array, position: Array, torque: Array) -> None:
         """Control points from a knot on, a row a driven axis, into arrays in Fortran order.
         `near` (n,): as in `at`."""
+
+class Sample:
+    """One encoder reading."""
+
+    def __init__(self, time_us: int, axis: int, position: float) -> None: ...
+    @property
+    def time_us(self) -> int:
+        """System time."""
+
+    @property
+    def axis(self) -> int: ...
+    @property
+    def position(self) -> float:
+        """[rad or m]"""
+
+class Samples:
+    """A list of them."""
+
+    def __init__(self, samples: Iterable[Sample] = ...) -> None: ...
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[Sample]: ...
+    def __getitem__(self, index: int) -> Sample: ...
+    def __setitem__(self, index: int, sample: Sample) -> None: ...
+    def __delitem__(self, index: int | slice) -> None: ...
+    def append(self, sample: Sample) -> None: ...
+    def clear(self) -> None: ...
+    def extend(self, samples: Samples) -> None: ...
+    def insert(self, index: int, sample: Sample) -> None: ...
+    def pop(self, index: int = -1) -> Sample: ...
+
+class Odometer:
+    """Follows one encoder: of all counts that the told one may stand for it takes the one next to
+    the last, so nothing but a jump by 2^31 is mistaken. Where the device has just begun to tell, or
+    has found out where it is, its last count is taken as it is."""
+
+    def __init__(self, axis: int, unit_per_count: float) -> None: ...
+    def read(self, status: Status, samples: Samples) -> None:
+        """Appends a status' samples."""

@@ -1,6 +1,7 @@
-// Tracks as the host has them, for Python.
+// Tracks and encoders as the host has them, for Python.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/bind_vector.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
@@ -15,6 +16,8 @@
 
 #include "course.hpp"
 #include "holding.hpp"
+#include "odometer.hpp"
+#include "sample.hpp"
 #include "unwrap.hpp"
 
 extern "C" {
@@ -22,6 +25,8 @@ extern "C" {
 #include "gate.h"
 #include "stamps.h"
 }
+
+NB_MAKE_OPAQUE(Samples) // a list of Python's would be made of them
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -238,13 +243,31 @@ static void bind_course(nb::module_ &m) {
             "near (n,): as in `at`.");
 }
 
+static void bind_samples(nb::module_ &m) {
+    nb::class_<Sample>(m, "Sample", "One encoder reading.")
+        .def(
+            "__init__",
+            [](Sample *self, int64_t time_us, int64_t axis, double position) {
+                new (self) Sample{time_us, axis, position};
+            },
+            "time_us"_a, "axis"_a, "position"_a)
+        .def_ro("time_us", &Sample::time_us, "System time.")
+        .def_ro("axis", &Sample::axis)
+        .def_ro("position", &Sample::position, "[rad or m]");
+    nb::bind_vector<Samples>(m, "Samples", "A list of them.");
+    nb::class_<Odometer>(m, "Odometer", "Follows one encoder beyond 32 bits.")
+        .def(nb::init<int64_t, double>(), "axis"_a, "unit_per_count"_a)
+        .def("read", &Odometer::read, "status"_a, "samples"_a, "Appends a status' samples.");
+}
+
 NB_MODULE(_tracks, m) {
     nb::module_::import_("headway.firmware._core"); // knows tracks and statuses
-    m.doc() = "Tracks as the host has them.";
+    m.doc() = "Tracks and encoders as the host has them.";
     m.def("unwrap", &unwrap, "values"_a, "near"_a,
           "Values modulo 2^32, each less than half of that from the one before, without bounds; of "
           "all that the first may stand for the one next to `near`.");
     bind_holding(m);
     bind_gate(m);
     bind_course(m);
+    bind_samples(m);
 }

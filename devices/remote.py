@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from headway.devices._tracks import Holding
 from headway.devices.bus import NONE, Bus, Mark
 from headway.devices.clock import RemoteClock
-from headway.devices.odometer import Odometer
 from headway.devices.session import Session
 from headway.devices.signals import Signals
 from headway.firmware import _core
@@ -66,12 +65,10 @@ class Remote:
         self.faults: list[_core.Fault] | None = None  # its log, oldest first
         self.firmware: int | None = None  # its version, as it told it with them
         self._wanted: bytes | None = None  # settings to be told; b"": those that it has
-        self._odometer = Odometer()
         self.signals = Signals()
 
-    def receive(self, packet: bytes, received_us: int) -> list[tuple[int, int]] | None:
-        """Opens a packet; returns a status' samples (time, count without bounds), or None for what
-        is no status (counted)."""
+    def receive(self, packet: bytes, received_us: int) -> _core.Status | None:
+        """Opens a packet; returns its status, or None for what is none (counted)."""
         opened = self._session.open(packet)
         if isinstance(opened, str):
             self._unopened(packet)
@@ -94,7 +91,7 @@ class Remote:
             if self._command and status.command_number >= self._command.number:
                 self._command = None
             self._holding.settle(status, self._patience_us)
-        return self._odometer.read(status.samples, status.homed)
+        return status
 
     def _unopened(self, packet: bytes) -> None:
         """A packet that is no frame of the session: before there is one, perhaps its beginning."""

@@ -22,8 +22,8 @@ from headway.controller.loop import Loop
 from headway.controller.record.columns import Arrays
 from headway.controller.record.note import note_tick
 from headway.controller.record.recorder import Memory, Recorder
-from headway.controller.sample import Sample
 from headway.controller.tick import DeviceError, Phase
+from headway.devices._tracks import Sample, Samples
 from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.sim.mishaps import Mishaps
@@ -145,7 +145,7 @@ class Lockstep:
         note_tick(self.record, tick, sent_us, in_time)
         self.record.await_room()
 
-    def _corrupt(self, samples: list[Sample], now_us: int) -> None:
+    def _corrupt(self, samples: Samples, now_us: int) -> None:
         share = self.config.sim.outlier_share
         if share == 0:
             return

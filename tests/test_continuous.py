@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rig import KEY, POSITION, TORQUE, Rig
 from ruamel.yaml import YAML
+from test_plan_codec import FLAGS, status_layout
 
 from headway.cli.closed_loop import ClosedLoop, ClosedLoopRun
 from headway.cli.judge import beyond_limits
@@ -28,10 +29,11 @@ from headway.configs.save import save_config
 from headway.controller.ocp import Limits, Ocp
 from headway.controller.reference import Entry, Sines
 from headway.devices import core
+from headway.devices._tracks import Odometer, Samples
 from headway.devices.axis import AxisUnits, position_limits, whole_turns
-from headway.devices.odometer import Odometer
 from headway.devices.settings import device_settings
 from headway.devices.widest import fits_a_frame
+from headway.firmware import _core
 from headway.models.machine import load_machine
 from headway.models.stated import stated
 
@@ -41,6 +43,7 @@ TABLE, ARM = CONFIG.machine.axes
 UNITS = AxisUnits.of(TABLE, CONFIG.loop)
 TURN = 2 * math.pi
 POINTS_TURNS, COUNTS_TURNS = 32, 2**15  # from zero to where int32 ends
+FLAG_BITS, FIELDS = 12, 36  # of a status' head
 Array = NDArray[np.float64]
 
 
@@ -158,31 +161,53 @@ def test_whole_turns_make_no_difference(way: float, turns: int) -> None:
     assert math.cos(rest - way) == pytest.approx(1, abs=1e-9)
 
 
+def counted(odometer: Odometer, told: list[tuple[int, int]], homed: bool) -> list[tuple[int, int]]:
+    """What an odometer of unit counts makes of a status' samples."""
+    head = [0] * FIELDS
+    head[FLAG_BITS] = homed << FLAGS.index("homed")
+    status = _core.status_decode(status_layout(tuple(head), told))
+    assert status is not None and status.homed == homed
+    samples = Samples()
+    odometer.read(status, samples)
+    assert all(sample.axis == 3 for sample in samples)
+    return [(sample.time_us, round(sample.position)) for sample in samples]
+
+
 @given(
     st.integers(-(2**31), 2**31 - 1),
     st.lists(st.lists(st.integers(-(2**30), 2**30), max_size=5), max_size=20),
 )
 def test_an_odometer_goes_on(first: int, way: list[list[int]]) -> None:
     """Samples are told twice, as a device does."""
-    odometer, true, before = Odometer(), [first], list[int]()
-    assert odometer.read([(0, first)], True) == [(0, first)]
+    odometer, true, before = Odometer(3, 1.0), [first], list[int]()
+    assert counted(odometer, [(0, first)], True) == [(0, first)]
     for steps in way:
         new = [true[-1] + sum(steps[: i + 1]) for i in range(len(steps))]
         told = [(i, (c + 2**31) % 2**32 - 2**31) for i, c in enumerate(before[-2:] + new)]
         expected = before[-2:] + new
         if all(abs(b - a) < 2**31 for a, b in zip([true[-1], *expected], expected, strict=False)):
-            assert [count for _, count in odometer.read(told, True)] == expected
+            assert [count for _, count in counted(odometer, told, True)] == expected
             true, before = [*true, *new], new
 
 
 def test_an_odometer_begins_anew_where_the_mark_was_found() -> None:
-    odometer = Odometer()
-    assert odometer.read([(0, 2**31 - 1), (1, -(2**31))], False) == [
+    odometer = Odometer(3, 1.0)
+    assert counted(odometer, [(0, 2**31 - 1), (1, -(2**31))], False) == [
         (0, -(2**31) - 1),
         (1, -(2**31)),
     ]
-    assert odometer.read([(2, -(2**31) + 5), (3, 100)], True)[-1] == (3, 100)
-    assert odometer.read([], False) == []
+    assert counted(odometer, [(2, -(2**31) + 5), (3, 100)], True)[-1] == (3, 100)
+    assert counted(odometer, [], False) == []
+
+
+def test_an_odometer_tells_positions() -> None:
+    samples, odometer = Samples(), Odometer(1, 0.25)
+    head = [0] * FIELDS
+    for count in (-3, 5):
+        status = _core.status_decode(status_layout(tuple(head), [(7, count)]))
+        assert status is not None
+        odometer.read(status, samples)
+    assert [(s.time_us, s.axis, s.position) for s in samples] == [(7, 1, -0.75), (7, 1, 1.25)]
 
 
 # ---- the gate, on both ends

@@ -24,7 +24,7 @@ from headway.controller.estimator import (
     Estimator,
 )
 from headway.controller.prediction import Prediction, ServoLaw
-from headway.controller.sample import Sample
+from headway.devices._tracks import Sample, Samples
 from headway.models.machine import load_machine
 from headway.sim.lockstep import Lockstep
 
@@ -279,7 +279,8 @@ def swinging_samples(tracks: Swings, n: int, rng: np.random.Generator) -> list[S
         if rng.random() < 0.1 or (axis == 1 and 150 < k < 230):
             position += rng.choice([-1, 1]) * rng.uniform(0.5, 1)
         samples.append(Sample(time_us, axis, float(position[axis])))
-    return sorted({sample[:2]: sample for sample in samples}.values())
+    once = {(sample.time_us, sample.axis): sample for sample in samples}
+    return [once[place] for place in sorted(once)]
 
 
 @pytest.mark.parametrize("model", [prediction, planar3])
@@ -571,3 +572,16 @@ def test_without_a_disturbance_none_is_estimated() -> None:
     filter_.reset(0, np.array([0.5, 0.3]))
     estimate = filter_.update(resting_samples(np.array([0.501, 0.3]), 0, 50), 51_000, STILL)
     assert np.all(estimate.z[4:] == 0) and np.all(estimate.covariance[4:] == 0)
+
+
+def test_what_is_yet_to_come_stays_in_the_list() -> None:
+    """A clock that is ahead stamps such."""
+    filter_, samples = settled(estimator()), Samples()
+    for at_us in (NOW_US + 1, NOW_US, NOW_US + 7, NOW_US - 300):
+        samples.append(Sample(at_us, 0, float(Waves().start()[0])))
+    before = filter_.replayed
+    filter_.update(samples, NOW_US, Waves())
+    assert [sample.time_us for sample in samples] == [NOW_US + 1, NOW_US + 7]
+    assert filter_.replayed == before + 2
+    with pytest.raises(ValueError, match="an axis that there is not"):
+        filter_.update([Sample(NOW_US, 2, 0.0)], NOW_US + 10, Waves())

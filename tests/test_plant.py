@@ -10,7 +10,7 @@ import pytest
 
 from headway.configs.load import load_config
 from headway.configs.schema import Plant as PlantConfig
-from headway.controller.sample import Sample
+from headway.devices._tracks import Sample
 from headway.sim.lockstep import Lockstep
 from headway.sim.plant import (
     BRAKE,

@@ -24,8 +24,11 @@ def stubbed(body: list[ast.stmt]) -> set[str]:
     return names - {"__init__"}
 
 
+OPERATORS = {"__mul__", "__len__", "__iter__", "__getitem__", "__setitem__", "__delitem__"}
+
+
 def public(thing: object) -> set[str]:
-    return {n for n in vars(thing) if not n.startswith("_")} | ({"__mul__"} & vars(thing).keys())
+    return {n for n in vars(thing) if not n.startswith("_")} | (OPERATORS & vars(thing).keys())
 
 
 @pytest.mark.parametrize(
