@@ -69,6 +69,8 @@ class Loop:
         self._config, self._remotes, self.task = config, remotes, reference
         self._driven = list(driven)
         self._moved = [remotes[axis] for axis in driven]  # the others have an encoder alone
+        rows = {device: row for row, device in enumerate(driven)}
+        self._row = [rows.get(device) for device in range(len(remotes))]  # of a plan, by device
         self._recorder = recorder
         self._reference = reference
         self._knot_us, self._margin = config.loop.knot_us, config.loop.margin_knots
@@ -155,14 +157,16 @@ class Loop:
         in_time = sent_us < outbox.too_late_us
         outbox = outbox.arriving_in((sent_us + self._least_us) // self._knot_us)
         points = outbox.points if in_time else None
-        packets = []
-        plans = {} if points is None else dict(zip(self._driven, points, strict=True))
+        packets = list[tuple[int, bytes]]()
         for device, remote in enumerate(self._remotes):
-            if remote.established and device in plans:
-                mine = [remote.plan_packet(outbox.first_knot, plans[device], sent_us)]
+            row = self._row[device]
+            if points is not None and row is not None and remote.established:
+                packets.append(
+                    (device, remote.plan_packet(outbox.first_knot, points[row], sent_us))
+                )
             else:
-                mine = remote.stamp_packets(sent_us)
-            packets += [(device, packet) for packet in mine + remote.questions()]
+                packets += [(device, packet) for packet in remote.stamp_packets(sent_us)]
+            packets += [(device, packet) for packet in remote.questions()]
         for device, packet in packets:
             link.send(device, packet, sent_us)
         self._recorder.add(("sent", sent_us, (points is not None, packets)))

@@ -23,7 +23,6 @@ WINDOW_US = 1_000_000
 SLEW_PPM = 500  # a clock is slewed by this much at most, against the count ...
 RATE_PPM = 800  # ... which drifts by 300 at most against the host's
 UNKNOWN_NS = 2**31 - 1
-UNREAD_MAX = 64  # statuses
 
 
 @dataclass(frozen=True)
@@ -55,14 +54,14 @@ class RemoteClock:
         self._window: deque[tuple[int, float, float, int]] = deque()
         self._base_us = 0
         self._status: _core.Status | None = None
-        self._unread: list[tuple[_core.Status, int]] = []
+        self._unread: deque[tuple[_core.Status, int]] = deque()
 
     def note(self, status: _core.Status, received_us: int) -> None:
         """A status that arrived at a time of the host's. What it says waits until it is asked for:
         while a machine runs nobody does."""
         self._unread.append((status, received_us))
-        if len(self._unread) == UNREAD_MAX:
-            self._read()
+        while received_us - self._unread[0][1] > WINDOW_US:
+            self._unread.popleft()
 
     def _read(self) -> None:
         for status, received_us in self._unread:

@@ -134,8 +134,9 @@ class Remote:
     def questions(self) -> list[bytes]:
         """Seals what waits for an answer: a command, settings."""
         packets = []
-        if (command := self.command_packet()) is not None:
-            packets.append(command)
+        if (asked := self._command) is not None:
+            payload = _core.command_encode(asked.number, asked.kind, asked.argument, asked.epoch)
+            packets.append(self._session.seal(_core.FRAME_COMMAND, payload))
         if self._wanted is not None:
             packets.append(self._session.seal(_core.FRAME_SETTINGS, self._wanted))
         return packets
@@ -161,16 +162,6 @@ class Remote:
         if self._command or self.status is None or self.status.command_number == 0:
             return None
         return _core.COMMAND_RESULTS[self.status.command_result]
-
-    def command_packet(self) -> bytes | None:
-        """Seals the command that waits for its answer, if there is one."""
-        command = self._command
-        if command is None:
-            return None
-        payload = _core.command_encode(
-            command.number, command.kind, command.argument, command.epoch
-        )
-        return self._session.seal(_core.FRAME_COMMAND, payload)
 
     def overdue(self, now_us: int) -> bool:
         """Whether the next status is."""

@@ -24,24 +24,16 @@ class Session:
         self._nonce = rng.bytes(16)
         self._last = (-1, -1)  # boot and number of the last device's nonce that was taken
         self._session: _core.Session | None = None
-        self._asking = True
-        self._overtaken = False
+        # Whether the device has answered in the session, so that HELLO need not be repeated.
+        self.established = False
+        # Whether the frame opened last was sent before another one that was opened earlier.
+        self.overtaken = False
         self._opened = 0
 
     @property
     def welcomed(self) -> bool:
         """Whether there are keys to seal with."""
         return self._session is not None
-
-    @property
-    def established(self) -> bool:
-        """Whether the device has answered in the session, so that HELLO need not be repeated."""
-        return self._session is not None and not self._asking
-
-    @property
-    def overtaken(self) -> bool:
-        """Whether the frame opened last was sent before another one that was opened earlier."""
-        return self._overtaken
 
     @property
     def lost(self) -> int:
@@ -51,7 +43,7 @@ class Session:
     def renew(self) -> None:
         """Asks for a new session, as when the device has booted. The old one ends."""
         self._nonce = self._rng.bytes(16)
-        self._session, self._asking, self._opened = None, True, 0
+        self._session, self.established, self._opened = None, False, 0
 
     def hello(self) -> bytes:
         """The packet that asks for a session, the same one until `renew`."""
@@ -70,7 +62,7 @@ class Session:
         number = (int.from_bytes(nonce[:4], "little"), int.from_bytes(nonce[4:8], "little"))
         if number == self._last and self._session is not None:
             return "ok"  # the same answer again: its counters go on
-        if not self._asking or number <= self._last:
+        if self.established or number <= self._last:
             return "stale"
         self._last, self._session, self._opened = number, session, 0
         return "ok"
@@ -99,7 +91,7 @@ class Session:
         session = self._session
         newest, opened = session.received, session.open(packet)
         if type(opened) is tuple:
-            self._asking, self._overtaken = False, session.received == newest
+            self.established, self.overtaken = True, session.received == newest
             self._opened += 1
         return opened
 

@@ -133,7 +133,9 @@ def test_only_the_last_second_is_kept() -> None:
     for i in range(1000):
         now_us = 10**9 + i * 4000
         clock.note(status(heard_us=now_us - 500, sent_us=now_us - 100), now_us)
-    assert len(clock._window) == WINDOW_US // 4000 + 1
+    assert len(clock._unread) == WINDOW_US // 4000 + 1
+    assert clock.state(now_us).measured_us is not None
+    assert (len(clock._unread), len(clock._window)) == (0, WINDOW_US // 4000 + 1)
 
 
 def test_settling_says_what_is_wrong() -> None:
