@@ -65,6 +65,9 @@ static const double TO_BOUNDARY = 0.995; // of the way to the first bound
 // Found by trying, on arms with 2 and 6 axes: the least distance from a bound at first, and so many
 // times the mean product of distances and multipliers that would make the gap in cost.
 static const double START_DISTANCE = 0.3, START_PRODUCTS = 10;
+// On chains of 8 to 12: of what the guess misses most such a share is the least distance, too. From
+// nearer by the first of many rows cuts each step short, so that nothing comes of 30 of them.
+static const double START_MISSED = 0.03;
 // Of what the task's own rows cost at first so much counts: with more, rows of the largest weights
 // leave no accuracy to the others.
 static const double BEYOND_MOST = 1e7;
@@ -601,14 +604,28 @@ static int within(const struct memory *m) {
     return largest(most) <= 0;
 }
 
+// By how much the guess misses a bound at most. The task's own rows, whose unit may be any, do not
+// count: their slacks are cheap.
+static double missed_most(const struct memory *m) {
+    double most = 0;
+    for (int i = 0; i <= N; ++i)
+        for (int r = 0; r < OWN; ++r) {
+            double value = ((const double *)m->value.at[i])[r];
+            most = fmax(most, ((const double *)m->sides[0].bound.at[i])[r] - value);
+            most = fmax(most, value - ((const double *)m->sides[1].bound.at[i])[r]);
+        }
+    return most;
+}
+
 // Distances and multipliers to begin with.
 static void start(struct memory *m, double product) {
+    vec least = all(fmax(START_DISTANCE, START_MISSED * missed_most(m)));
     for (int k = 0; k < 2; ++k) {
         struct side *side = &m->sides[k];
         for (int i = 0; i <= N; ++i)
             for (int v = 0; v < RV; ++v) {
                 vec off = m->value.at[i][v] - side->bound.at[i][v];
-                vec distance = larger(k ? -off : off, all(START_DISTANCE));
+                vec distance = larger(k ? -off : off, least);
                 side->distance.at[i][v] = distance;
                 side->multiplier.at[i][v] = product / distance;
                 side->distance_step.at[i][v] = side->multiplier_step.at[i][v] = (vec){};

@@ -12,7 +12,9 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from trees import chain_mjcf
 
+from headway.cli.guess.first import first_config
 from headway.configs.load import load_config
 from headway.controller._tick import Riccati
 from headway.controller.prediction import Prediction
@@ -137,6 +139,29 @@ def test_it_is_the_same_for_every_processor(name: str) -> None:
                 assert other.update()
                 other.solve(z)
                 np.testing.assert_allclose(z, pool["z"][:, 0], atol=1e-3)
+
+
+def test_from_a_guess_that_is_far_beyond_the_limits(tmp_path: Path) -> None:
+    """A chain that runs at more than half of its speed limits, where it was taken to rest: to stop
+    costs many rows their bounds on the way. It can, and within the cap."""
+    model, file = tmp_path / "chain.xml", tmp_path / "chain.yaml"
+    model.write_text(chain_mjcf(0, 5))
+    file.write_text(first_config(model, file)[0])
+    config = load_config(file)
+    prediction = Prediction.of(config, load_machine(model))
+    program, n = Program(config, prediction), prediction.n
+    limits, fastest = program.ocp.limits, [axis.velocity_limit for axis in config.machine.axes]
+    low, high = np.maximum(limits.soft_min, -3), np.minimum(limits.soft_max, 3)
+    accepted = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        q = low + (high - low) * rng.uniform(0.2, 0.8, n)
+        rest = np.repeat(np.append(q, np.zeros(n))[:, None], config.mpc.intervals + 1, axis=1)
+        torque = prediction.holding(q, np.zeros(n))
+        program.prepare(rest, np.repeat(torque[:, None], rest.shape[1], axis=1), np.zeros(n))
+        start = np.append(q, 0.6 * rng.choice([-1, 1], n) * fastest)
+        accepted.append(program.feedback(start, np.zeros(n), rest, torque, torque).accepted)
+    assert np.mean(accepted) > 0.9  # with distances of START_DISTANCE: 0.63
 
 
 def test_what_cannot_be_kept_is_refused() -> None:
