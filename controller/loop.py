@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 
 
 RESTING_SHARE = 0.01  # of the speed limits: slower, the machine rests
+SHARES = 0.5, 0.25, 0.125  # of the way to a plan that the gate refuses, one of which it may take
 
 
 def plan_points(config: Config) -> int:
@@ -202,11 +203,12 @@ class Loop:
         self._enter_anew(tick.commit, commit_knot)
         began = time.perf_counter()
         plan = self._plan(tick, commit_knot)
-        passed = plan is not None and self._passes(tick.now_us, *plan, commit_knot)
+        if plan is not None:
+            plan = self._passing(tick, *plan, commit_knot)
         tick.encode_us = (time.perf_counter() - began) * 1e6
         if tick.solution is not None:
             tick.encode_us -= tick.solution.solve_us
-        if plan is None or not passed:
+        if plan is None:
             self._restore(tick.commit, commit_knot)
             return self._repeat(knot)
         points, rolled = plan
@@ -321,20 +323,40 @@ class Loop:
         knot, motion = self._last
         return motion.later(commit_knot - knot)
 
-    def _passes(self, now_us: int, points: Points, rolled: Motion, commit_knot: int) -> bool:
-        """The same gate as on the device, whose first refusal is noted; and a roll-out that is a
-        motion."""
+    def _passing(
+        self, tick: Tick, points: Points, rolled: Motion, commit_knot: int
+    ) -> tuple[Points, Motion] | None:
+        """The plan, if it passes the same gate as on the device and its roll-out is a motion. Where
+        the gate refuses it, which is noted: a part of the way there from what is committed."""
         if not finite(rolled.rows):
-            return False
+            return None
         knot = commit_knot - 1
         refusal = self._gate.refusal(knot, points, knot)
         if refusal is None:
-            return True
+            return points, rolled
         row, result = refusal
         axis, sink = divmod(row, len(self._sinks))
-        told = self._driven[axis], self._sinks[sink], result
-        self._recorder.add(("refused", now_us, told))
-        return False
+        share, part = self._part_way(points, knot)
+        told = self._driven[axis], self._sinks[sink], result, share
+        self._recorder.add(("refused", tick.now_us, told))
+        if part is None:
+            return None
+        assert tick.commit is not None
+        state = tick.commit.state(self._prediction.n)
+        rolled = self._encoder.roll_points(part, state, self._disturbance)
+        return (part, rolled) if finite(rolled.rows) else None
+
+    def _part_way(self, points: Points, knot: int) -> tuple[float, Points | None]:
+        """Points between those that are committed from a knot on and a plan's, as near to it as the
+        gate takes; none if it takes no share. Ranges, speeds and accelerations within limits make a
+        convex set, so it most often does."""
+        committed = self._stored(knot, points.shape[2])
+        way = points - committed  # a continuous axis' modulo 2^32, as its positions are
+        for share in SHARES:
+            part = committed + np.rint(share * way).astype(np.int32)
+            if self._gate.refusal(knot, part, knot) is None:
+                return share, part
+        return 0.0, None
 
     def _repeat(self, knot: int) -> Outbox:
         """The committed plan's points that have not begun, unchanged."""

@@ -151,31 +151,40 @@ class Encoder:
             pool["feedback"][...] = self._gains_along().T
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
 
+    def roll_points(self, points: Points, start: Array, disturbance: Array) -> Motion:
+        """What the servos make of control points, as `plan` returns them, from state `start`
+        (2n,)."""
+        if self._gains.sinks:
+            self._gain_points = points[:, 2:]
+            self.pool["feedback"][...] = self._gains_along().T
+        both = points[:, : core.TRACK_TORQUE + 1].astype(np.float64)
+        for axis, (units, near) in enumerate(zip(self._units, start[self._driven], strict=True)):
+            both[axis, core.TRACK_POSITION] = units.unwrapped(
+                points[axis, core.TRACK_POSITION], near
+            )
+        return self.roll(both, start, disturbance)
+
     def roll(self, points: Array, start: Array, disturbance: Array) -> Motion:
-        """What the servos, with the config's gains, make of control points (from a plan's first
-        on, by driven axis and sink) from state `start` (2n,)."""
+        """What the servos, with the gains at hand, make of control points (from a plan's first on,
+        by driven axis and sink, positions without bounds) from state `start` (2n,)."""
         r, f = (
             points[:, sink] / self._scale[sink] for sink in (core.TRACK_POSITION, core.TRACK_TORQUE)
         )
         pool, h = self.pool, self._h
-        pool["tracks"][...] = self._rows(
-            _at_knots(r, VALUE), _at_knots(r, SLOPE) / h, _at_knots(f, VALUE)
-        )
-        pool["middles"][...] = self._rows(
-            _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
-        )
+        at = _at_knots(r, VALUE), _at_knots(r, SLOPE) / h, _at_knots(f, VALUE)
+        half_way = _at_knots(r, MIDDLE), _at_knots(r, MIDDLE_SLOPE) / h, _at_knots(f, MIDDLE)
+        pool["tracks"][...] = self._rows(*at, pool["feedback"][:, ::2])
+        pool["middles"][...] = self._rows(*half_way, pool["feedback"][:, 1::2])
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
         self._rollout.run()
         self._relieve.run()
         return self.rolled()
 
-    def _rows(self, *tracks: Array) -> Array:
-        """[r, r', f] (w, m) each, with the config's gains, as the prediction has them: (5n, m)."""
-        columns = tracks[0].shape[1]
-        rows = np.zeros((len(tracks), self._n, columns))
-        rows[:, self._driven] = tracks
-        gains = np.repeat(self._law.feedback[:, None], columns, axis=1)
-        return np.vstack((*rows, gains))
+    def _rows(self, r: Array, rate: Array, f: Array, feedback: Array) -> Array:
+        """Tracks (w, m) and gains (2n, m) as the prediction has them: (5n, m)."""
+        rows = np.zeros((3, self._n, r.shape[1]))
+        rows[:, self._driven] = r, rate, f
+        return np.vstack((*rows, feedback))
 
     def points(self) -> Points:
         """Of the last encoding: control points by driven axis and sink, the first three of each

@@ -144,13 +144,14 @@ def test_a_machine_that_came_to_rest_is_led_back(frequency_Hz):
         CONFIGS / "arm2.yaml", ["duration_s=3", f"task.frequency_Hz={frequency_Hz}"]
     )
     lockstep = Lockstep(config, CONFIGS)
-    loop, passes = lockstep.loop, lockstep.loop._passes
+    loop, passing = lockstep.loop, lockstep.loop._passing
 
-    def passes_but_for_a_while(now_us, points, rolled, commit_knot):
+    def passing_but_for_a_while(tick, points, rolled, commit_knot):
         commit_s = lockstep.task_s(commit_knot * config.loop.knot_us)
-        return passes(now_us, points, rolled, commit_knot) and not 1.5 < commit_s < 1.8
+        plan = passing(tick, points, rolled, commit_knot)
+        return None if 1.5 < commit_s < 1.8 else plan
 
-    loop._passes = passes_but_for_a_while
+    loop._passing = passing_but_for_a_while
     lockstep.run()
     record = lockstep.record.arrays()
     error = np.abs(record["truth_position"] - record["truth_reference"]).max(axis=1)

@@ -47,19 +47,19 @@ def test_a_reference_beyond_the_limits_is_followed_up_to_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     refused: list[str] = []
-    passes = Loop._passes
+    passing = Loop._passing
 
-    def told(loop: Loop, now_us, points, rolled, commit_knot):  # type: ignore[no-untyped-def]
-        good = passes(loop, now_us, points, rolled, commit_knot)
-        for remote, limits, plan in zip(loop._remotes, loop._limits, points, strict=True):
-            for sink, on_track in enumerate(plan):
+    def told(loop: Loop, tick, points, rolled, commit_knot):  # type: ignore[no-untyped-def]
+        plan = passing(loop, tick, points, rolled, commit_knot)
+        for remote, limits, tracks in zip(loop._remotes, loop._limits, points, strict=True):
+            for sink, on_track in enumerate(tracks):
                 at = commit_knot - 1
                 refused.append(
                     core.gate_check_track(limits[sink], remote.track(sink), at, on_track, at)
                 )
-        return good
+        return plan
 
-    monkeypatch.setattr(Loop, "_passes", told)
+    monkeypatch.setattr(Loop, "_passing", told)
     run = Lockstep(load_config(ARM2, BEYOND), ARM2.parent)
     run.run()
     assert set(refused) == {"accepted"}

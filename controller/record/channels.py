@@ -199,10 +199,11 @@ _ALL = (
     ),
     _channel(
         "refused",
-        "The host's own gate refuses a tick's new plan: it is not sent",
+        "The host's own gate refuses a tick's new plan",
         Field("axis", "int", "", "the first that it refuses, by its index"),
         Field("sink", "int", "", "the track: 0 position, 1 torque, 2 to 4 gains"),
         Field("result", "int", "", "the check that failed, as in firmware/gate.h"),
+        Field("share", "double", "", "of the way to it, which is sent in its place; or 0"),
     ),
     _channel(
         "end",

@@ -215,13 +215,15 @@ def _refused(config: Config, arrays: Arrays) -> dict[str, int]:
 
 
 def _solver(driver: Driver, arrays: Arrays) -> dict[str, Any]:
-    """Plans by what became of them; without MPC the reference's plans are counted."""
+    """Plans by what became of them; without MPC the reference's plans are counted. Those that the
+    gate refused count as accepted if a part of the way to them passed."""
     accepted = int(np.sum(arrays["tick_accepted"]))
     return {
         "ticks": driver.ticks,
         "accepted": accepted,
         "rejected": driver.ticks - accepted,
         "refused_by_gate": _refused(driver.config, arrays),
+        "part_way": int(np.count_nonzero(arrays["refused_share"])),
         "iterations_p50": _percentiles(arrays["solver_iterations"], p50=50)["p50"],
     }
 

@@ -50,12 +50,14 @@ def _row(name: str, units: list[str], values: list[float | None]) -> list[str]:
 def _whole_run(summary: dict[str, Any]) -> str:
     solver, frames, compute = summary["solver"], summary["frames"], summary["compute_us"]
     by_gate = [f"{what} ({count})" for what, count in solver["refused_by_gate"].items()]
+    if part_way := solver["part_way"]:
+        by_gate.append(f"of {part_way} a part of the way was sent")
     lost = "nobody knows how many" if frames["lost"] is None else frames["lost"]
     return "\n".join(
         (
             f"{solver['ticks']} ticks: {solver['rejected']} plans rejected, "
             f"{summary['deadline_misses']} deadlines missed",
-            *([f"rejected by the gate here: {'; '.join(by_gate)}"] if by_gate else []),
+            *([f"refused by the gate here: {'; '.join(by_gate)}"] if by_gate else []),
             f"{frames['sent']} frames sent: {lost} lost, "
             f"{frames['late_points']} too late, {frames['gate_refused']} refused by the gate",
             f"compute [us]: {_text(compute['p50'])} median, {_text(compute['p99'])} p99, "

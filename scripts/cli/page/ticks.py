@@ -21,7 +21,12 @@ STEPS = {
 PERCENTS = {"median": 50, "p99": 99, "p99.9": 99.9, "max": 100}
 BINS = 80
 USUAL = 99.9  # percent of the ticks that the histogram shows in full width
-OSQP = {1: "solved", 2: "solved inaccurately", 7: "stopped at the cap"}
+STAGES = {0: "solved", 1: "stopped at the cap"}
+STATUSES = {  # by backend
+    "osqp": {1: "solved", 2: "solved inaccurately", 7: "stopped at the cap"},
+    "hpipm": STAGES,
+    "riccati": STAGES,
+}
 
 
 def compute(shown: Sequence[Shown]) -> Section:
@@ -86,7 +91,7 @@ def _percentiles(shown: Sequence[Shown]) -> Rows:
 def solver(shown: Sequence[Shown]) -> Section:
     """Iterations and residual of each tick, and the plans that were not used."""
     section = Section("solver", "Solver", [run.label(_told(run)) for run in shown])
-    iterations = Plot("Iterations", "iterations of OSQP")
+    iterations = Plot("Iterations", "iterations of the solver")
     residual = Plot(
         "Residual",
         "residual / allowed",
@@ -114,11 +119,14 @@ def _told(run: Shown) -> str:
     """What became of the ticks, in a sentence."""
     ticks, accepted = len(run.arrays["tick_s"]), int(np.sum(run.arrays["tick_accepted"]))
     told = f"{ticks} ticks, {ticks - accepted} plans rejected"
+    if part_way := np.count_nonzero(run.arrays["refused_share"]):
+        told += f", of {part_way} that the gate refused a part of the way was sent"
     statuses, counts = np.unique(run.arrays["solver_status"], return_counts=True)
     if not len(statuses):
         return f"{told}. MPC was off: the reference itself was sent."
+    words = STATUSES[run.config.mpc.backend]
     solved = (
-        f"{count} {OSQP.get(int(status), f'ended with status {status}')}"
+        f"{count} {words.get(int(status), f'ended with status {status}')}"
         for status, count in zip(statuses, counts, strict=True)
     )
     return f"{told}. The solver: {', '.join(solved)}."
