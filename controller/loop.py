@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 
 
 RESTING_SHARE = 0.01  # of the speed limits: slower, the machine rests
+# Of the speed, with which a plan may end where none that ends at rest was found.
+RESTORING_SHARE = 0.5
 SHARES = 0.5, 0.25, 0.125  # of the way to a plan that the gate refuses, one of which it may take
 
 
@@ -121,6 +123,7 @@ class Loop:
         self._ahead = Ahead(self._knot_us, self._horizon, config.mpc.intervals)
         self._knots: NDArray[np.int64] = np.arange(self._horizon + 1)
         self._last: tuple[int, Motion] | None = None  # what is expected, from a commit knot on
+        self._restoring = False  # no plan was found in the last tick
         self._planned = 0  # commit knot of the last plan
         self._commit_knot: int | None = None  # of the last tick
         self._prepared: int | None = None  # commit knot of the problem that is ready
@@ -208,6 +211,7 @@ class Loop:
         tick.encode_us = (time.perf_counter() - began) * 1e6
         if tick.solution is not None:
             tick.encode_us -= tick.solution.solve_us
+        self._restoring = plan is None
         if plan is None:
             self._restore(tick.commit, commit_knot)
             return self._repeat(knot)
@@ -262,11 +266,11 @@ class Loop:
     def _restore(self, commit: Estimate, commit_knot: int) -> None:
         """The old plan runs on. What becomes of that from where the machine is now, which may not
         be where it was expected, is what the next problem is linearized along."""
-        n, guess = self._prediction.n, self._guess(commit_knot)
-        state, d = commit.state(n), self._disturbance
-        old = self._encoder.plan(guess, self._moved, commit_knot, state, d)
-        if finite(old[1].rows):
-            self._last = (commit_knot, old[1])
+        committed = self._stored(commit_knot - 1, self._horizon + 3)
+        state = commit.state(self._prediction.n)
+        old = self._encoder.roll_points(committed, state, self._disturbance)
+        if finite(old.rows):
+            self._last = (commit_knot, old)
 
     def _enter_anew(self, commit: Estimate, commit_knot: int) -> None:
         """When no new plan was found until the last one ended and the machine rests, perhaps far
@@ -307,9 +311,22 @@ class Loop:
         if self._prepared != commit_knot:  # the first tick, or one was left out
             self._prepare(commit_knot)
         tick.solution = solution = self._mpc.solve(
-            state, self._disturbance, self._wanted, torque, self._moved, commit_knot
+            state,
+            self._disturbance,
+            self._wanted,
+            torque,
+            self._moved,
+            commit_knot,
+            self._ending(state),
         )
         return solution.plan
+
+    def _ending(self, state: Array) -> Array:
+        """Speeds of the driven axes (w,) at a problem's end: none. After a tick without a plan the
+        machine may be too fast to stop within the horizon, and half of its speed will do: where its
+        tracks end at rest the motors would not follow, but the next plan begins before that."""
+        speed = state[self._prediction.n :][self._prediction.law.driven]
+        return RESTORING_SHARE * self._restoring * speed
 
     def _prepare(self, commit_knot: int) -> None:
         if self._mpc is not None:

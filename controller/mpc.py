@@ -77,15 +77,17 @@ class Mpc:
         committed_torque: Array,
         remotes: list[Remote],
         commit_knot: int,
+        ending: Array | float = 0.0,
     ) -> Solution:
         """A plan from the commit knot on, around the motion that was prepared for it.
 
         start: (2n,) the state there; disturbance: (n,), as estimated by now; reference: (N+1, 2n)
-        states at the nodes; committed_torque: (n,) motor torque there, zero on passive axes.
+        states at the nodes; committed_torque: (n,) motor torque there, zero on passive axes;
+        ending: (w,) speeds of the driven axes at the end.
         """
         self.encoder.commit(remotes, commit_knot, self._guess, start, disturbance)
         ends = committed_torque, self.program.gravity - disturbance
-        done = self.program.feedback(start, disturbance, reference.T, *ends)
+        done = self.program.feedback(start, disturbance, reference.T, *ends, ending)
         if done.status == OSQP_SIGINT:
             signal.raise_signal(signal.SIGINT)  # OSQP caught a Ctrl-C that is not for it
         plan = (self.encoder.points(), self.encoder.rolled()) if done.accepted else None

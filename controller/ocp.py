@@ -12,7 +12,7 @@ torque, no limit but soft ones, and need not rest.
                 + the task's own costs, see objective.py, and |t_i|^2
     subject to  x_0 = estimate at the commit knot
                 x_{i+1} = F(x_i, u_i, u_{i+1}, d)        linearized
-                v_{N-1} = v_N = 0                        rest at the end
+                v_{N-1} = v_N = 0                        rest at the end, or `ending`
                 |u| <= limit
                 |6 (q_{i+1} - q_i) / h - v_i - v_{i+1}| <= 4 limit         speed
                 |6 (q_{i+1} - q_i) / h - 4 v_i - 2 v_{i+1}| <= limit h     acceleration
@@ -407,8 +407,9 @@ class Ocp:
     def _vectors(self) -> ca.Function:
         """x, u: the guess; after: linearized along it, for the disturbance `assumed`; start (2n,):
         the state at the commit knot, d: the disturbance; reference (2n, N+1); committed, holding
-        (n,): the torques that the plan should begin and end with. To the vectors, and to the
-        torque (n, N+1) around which they are.
+        (n,): the torques that the plan should begin and end with; ending (w,): speeds of the driven
+        axes at the end, zero but for a restoration. To the vectors, and to the torque (n, N+1)
+        around which they are.
         """
         n, w, count, p = self.n, len(self.driven), self.intervals, self._parameters()
         driven, moved = self.driven, [n + axis for axis in self.driven]
@@ -416,11 +417,16 @@ class Ocp:
         start, reference = ca.MX.sym("start", 2 * n), ca.MX.sym("reference", 2 * n, count + 1)
         assumed, d = ca.MX.sym("assumed", n), ca.MX.sym("d", n)
         committed, holding = ca.MX.sym("committed", n), ca.MX.sym("holding", n)
+        ending = ca.MX.sym("ending", w)
 
         # The same motion under another disturbance takes as much less torque: nothing else changes.
         u = (linearized - (d - assumed))[driven, :]
         q, v, speed = x[:n, :], x[n:, :], x[moved, :]
-        equal = start - x[:, 0], ca.vec(after - x[:, 1:]), -ca.vec(speed[:, -2:])
+        equal = (
+            start - x[:, 0],
+            ca.vec(after - x[:, 1:]),
+            ca.vec(ca.horzcat(ending, ending) - speed[:, -2:]),
+        )
         all_along = ca.DM.ones(1, count)
         fastest, surge = self._between(q[driven, :], speed)
         pairs = (
@@ -457,8 +463,8 @@ class Ocp:
         inputs = {
             "x": x, "u": linearized, "after": after, "assumed": assumed,
             "start": start, "d": d, "reference": reference, "committed": committed,
-            "holding": holding, "slope": slope, "kept": kept, "kept_slope": kept_slope,
-            "parameters": self._vector,
+            "holding": holding, "ending": ending, "slope": slope, "kept": kept,
+            "kept_slope": kept_slope, "parameters": self._vector,
         }  # fmt: skip
         outputs = {
             "gradient": gradient * p["column_scale"],

@@ -147,13 +147,21 @@ class Program:
         self.tick.prepare()
 
     def feedback(
-        self, start: Array, d: Array, reference: Array, committed: Array, holding: Array
+        self,
+        start: Array,
+        d: Array,
+        reference: Array,
+        committed: Array,
+        holding: Array,
+        ending: Array | float = 0.0,
     ) -> Feedback:
         """Solves for the state (2n,) at the horizon's start, the disturbance d (n,), reference
-        (2n, N+1) at the nodes, and the torques (n,) to begin and to end with."""
+        (2n, N+1) at the nodes, the torques (n,) to begin and to end with, and the driven axes'
+        speeds (w,) at the end: none but for a restoration."""
         pool = self.pool
         pool["start"][:, 0], pool["d"][:, 0], pool["reference"][...] = start, d, reference
         pool["committed"][:, 0], pool["holding"][:, 0] = committed, holding
+        pool["ending"][:, 0] = ending
         return self.tick.feedback()
 
     def constraints(self) -> sp.csc_matrix:

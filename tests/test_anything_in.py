@@ -21,10 +21,13 @@ Array = NDArray[np.float64]
 
 
 def run(
-    backend: str, happen: Callable[[Lockstep, int], None], monkeypatch: pytest.MonkeyPatch
+    backend: str,
+    happen: Callable[[Lockstep, int], None],
+    monkeypatch: pytest.MonkeyPatch,
+    duration_s: float = 2,
 ) -> Lockstep:
-    """arm2 on its task for two seconds; `happen` is called before each of its ticks."""
-    said = [f"mpc.backend={backend}", "duration_s=2"]
+    """arm2 on its task; `happen` is called before each of its ticks."""
+    said = [f"mpc.backend={backend}", f"duration_s={duration_s}"]
     if backend == "osqp":  # which stops at its cap more often with weights as large as arm2's
         said += ["mpc.position_weight=1e6", "mpc.velocity_weight=200"]
     lock = Lockstep(load_config(CONFIGS / "arm2.yaml", said), CONFIGS)
@@ -85,6 +88,34 @@ def test_a_jump_that_finds_no_plan_is_entered_from_rest(
     assert np.abs(record["truth_position"][late] - [0.9, -0.3]).max() < 0.02
 
 
+@pytest.mark.parametrize(("backend", "seed"), [("riccati", 0), ("riccati", 4), ("hpipm", 2)])
+def test_the_reference_jumps_again_before_the_machine_is_there(
+    backend: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By up to 1.4 rad, two to six times a second: a machine whose load is heavier than its model's
+    is often too fast to stop within the horizon. It gets a plan each third tick at least, and no
+    device has enough of it."""
+    rng, due = np.random.default_rng(seed), [50]
+    home = np.empty(0)
+
+    def jump(lock: Lockstep, tick: int) -> None:
+        nonlocal home
+        if tick == 0:
+            home = lock.loop.task.at(np.zeros(1))[0][0]
+        if tick == due[-1]:
+            lock.loop.task = target = Target(home + rng.uniform(-0.7, 0.7, 2))
+            lock.loop._follow(target)
+            due.append(tick + int(rng.integers(40, 122)))
+
+    lock = run(backend, jump, monkeypatch, duration_s=4)
+    record = lock.record.arrays()
+    assert lock.device_states() == ["HOLD", "HOLD"] and record["end_plans_refused"].max() == 0
+    accepted = record["tick_accepted"].astype(bool)
+    assert len(due) > 8 and 10 < np.sum(~accepted) < 0.1 * len(accepted)
+    assert np.any(record["refused_share"] > 0)
+    assert not np.any(~accepted[2:] & ~accepted[1:-1] & ~accepted[:-2])
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_estimator_begins_anew(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """At full speed it is told that the machine rests, without a word of the disturbance."""
@@ -105,7 +136,7 @@ def test_the_estimator_begins_anew(backend: str, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("before_rad", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("before_rad", [0.01, 0.02, 0.035, 0.1, 0.3])
 def test_something_is_in_the_way(
     backend: str, before_rad: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,7 +157,7 @@ def test_something_is_in_the_way(
     )  # it gives way a little
     assert np.abs(truth[:, 1]).max() < 1.4
     if before_rad < 0.05:
-        assert record["tick_accepted"].mean() > 0.97
+        assert record["tick_accepted"].mean() > (0.97 if before_rad < 0.015 else 0.9)
         late = (record["truth_s"] > 1.5) & (record["truth_s"] < 2)
         error = (record["truth_position"] - record["truth_reference"])[late]
         assert np.sqrt(np.mean(error**2)) < 5e-3
