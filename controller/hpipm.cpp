@@ -260,8 +260,9 @@ void Hpipm::set_vectors() {
                 u[r] = (still + REST) / unit;
             }
             for (int r = 0; r < w; ++r) {
-                l[rests + r] = low[torque_row + i * w + r] / torque[r];
-                u[rests + r] = up[torque_row + i * w + r] / torque[r];
+                int at = torque_row + i * w + r;
+                l[rests + r] = low[at] / rows[at] / torque[r];
+                u[rests + r] = up[at] / rows[at] / torque[r];
             }
             d_ocp_qp_set_lbx(i, l, &qp_);
             d_ocp_qp_set_ubx(i, u, &qp_);
@@ -270,8 +271,9 @@ void Hpipm::set_vectors() {
             std::fill_n(m + w, w, 0.0);
             d_ocp_qp_set_r(0, m, &qp_);
             for (int r = 0; r < w; ++r) {
-                l[r] = low[torque_row + r] / torque[r];
-                u[r] = up[torque_row + r] / torque[r];
+                int at = torque_row + r;
+                l[r] = low[at] / rows[at] / torque[r];
+                u[r] = up[at] / rows[at] / torque[r];
             }
             d_ocp_qp_set_lbu(0, l, &qp_);
             d_ocp_qp_set_ubu(0, u, &qp_);

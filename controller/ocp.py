@@ -62,7 +62,15 @@ CUBIC = (0.25, -0.25, -0.25), (1.0, -4.0, -2.0)
 # share of their limit.
 POSITION_TOLERANCE, VELOCITY_TOLERANCE, TORQUE_TOLERANCE_SHARE = 3e-4, 1e-2, 5e-3
 STOP_SMOOTHNESS = 20.0  # times the torque step weight, where tracking has faded out
+# Scales of limits' rows, found by trying on programs after jumps of the reference, of machines of
+# one to eight axes.
+TORQUE_SCALE = 4.0  # in units of one over the root of the torque step weight
 CUBIC_SCALE = 1 / 3  # of the rows of a cubic, whose positions come with 6 / h
+ACCELERATION_SCALE = 2.0  # times that
+SOON_NODES = (
+    8  # nodes to which speed rows count for more: the start is given, and little can change
+)
+SOFT_SCALE = 0.5
 TORQUE_FLOOR = (
     2e-6  # times the torque step weight, on the torque itself: the problem has one solution
 )
@@ -184,13 +192,18 @@ class Ocp:
         self.row_scale = np.ones(self.rows)
         self.row_scale[: 2 * n * nodes] = 1 / np.tile(state, nodes)
         self.row_scale[2 * n * nodes : self.equalities] = np.tile(1 / state[n:][self.driven], 2)
-        # Found by trying, on jumps of the reference: of the programs that stop at the cap there are
-        # three times as many with half of it, and eight times as many without.
+        # OSQP converges where limits' rows are of a size with what the cost leaves free of them.
+        # Powers of two: other solvers take these scales off again, and get the very same numbers.
+        torque = TORQUE_SCALE * np.sqrt(self._step_weight)
+        self.row_scale[self.equalities : self._speed_row] = np.tile(_power_of_two(torque), nodes)
         cubic = CUBIC_SCALE * self.interval_s / state[:n][self.driven]
-        self.row_scale[self._speed_row : self._soft_row] = np.tile(cubic, 2 * self.intervals)
+        soon = _power_of_two(np.maximum(1, SOON_NODES / np.arange(1, nodes)))
+        acceleration = np.full(self.intervals, ACCELERATION_SCALE)
+        of_cubic = np.outer(np.append(soon, acceleration), cubic).ravel()
+        self.row_scale[self._speed_row : self._soft_row] = of_cubic
         # Half-way to the states' own scale: less makes an active soft limit converge slowly, more
         # slows down everything else.
-        soft = APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
+        soft = SOFT_SCALE * APPROACH_S / self.limits.approach_s / np.sqrt(state[:n])
         soft_rows = slice(self._soft_row, self.kept_rows.start)  # the task's own: `_own_scale`
         self.row_scale[soft_rows] = np.tile(soft[self.bounded], 2 * self.intervals)
         rows, columns = self._by_entry(self.hessian, self.column_scale)
@@ -632,6 +645,11 @@ class Interpolation:
 def _rows(column: Any, count: int) -> Any:
     """A column as so many equal rows."""
     return ca.repmat(column.T, count, 1)
+
+
+def _power_of_two(values: Array) -> Array:
+    """The nearest."""
+    return np.exp2(np.round(np.log2(values)))
 
 
 def _sparse(basis: Array) -> Any:

@@ -34,13 +34,20 @@ class Osqp : public Solver {
     void forget() override;
 
   private:
-    void measure(const OSQPSolution &solution, Answer &answer);
+    bool take_matrices(bool hessian);
+    bool take_vectors(const double *from);
+    void weigh();
+    void measure(const double *z, Answer &answer);
 
     Sparse hessian_;
     bool hessian_changes_;
     Sparse constraints_;
     Numbers gradient_, lower_, upper_, scale_;
+    int max_iterations_, round_;
     std::vector<double> slope_, value_; // of the Lagrangian; of the constraints
-    std::vector<double> idle_; // where each solution is looked for first: no deviation at all
+    std::vector<double> idle_;       // where each solution is looked for first: no deviation at all
+    std::vector<double> multiplier_; // of the last answer
+    std::vector<double> weight_;     // of a row, while one program is solved
+    std::vector<double> weighted_, low_, high_, own_; // the rows' entries, bounds and multipliers
     std::unique_ptr<OSQPSolver, OSQPInt (*)(OSQPSolver *)> solver_{nullptr, osqp_cleanup};
 };

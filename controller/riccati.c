@@ -523,8 +523,9 @@ static void take_vectors(struct memory *m, const struct riccati_problem *p) {
             lower[r] = -FREE, upper[r] = FREE;
         for (int j = 0; j < W; ++j) {
             double unit = 1 / scale[AXES + driven[j]], of_torque = 1 / torque[j];
-            lower[j] = low[torques + i * W + j] * of_torque;
-            upper[j] = up[torques + i * W + j] * of_torque;
+            int at = torques + i * W + j;
+            lower[j] = low[at] / p->row_scale[at] * of_torque;
+            upper[j] = up[at] / p->row_scale[at] * of_torque;
             if (i >= N - 1) {
                 int row = rest + (i - N + 1) * W + j;
                 m->still[i - N + 1][j] = low[row] / p->row_scale[row] * unit;

@@ -39,9 +39,9 @@ Array = NDArray[np.float64]
 class Machine:
     """A program, and what it takes to have ticks of it at random."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, backend: str = "riccati") -> None:
         # On a grid as coarse as to be solved exactly in a moment.
-        said = ["mpc.backend=riccati", "mpc.horizon_us=196608", "mpc.intervals=12"]
+        said = [f"mpc.backend={backend}", "mpc.horizon_us=196608", "mpc.intervals=12"]
         said += ["machine.axes.0.acceleration_limit_rad_per_s2=60"] if name == "arm2" else []
         config = load_config(CONFIGS / f"{name}.yaml", said)
         machine = load_machine(CONFIGS / config.machine.model)
