@@ -152,8 +152,9 @@ class Encoder:
         pool["x"].T[...], pool["d"].T[...] = start, disturbance
 
     def roll_points(self, points: Points, start: Array, disturbance: Array) -> Motion:
-        """What the servos make of control points, as `plan` returns them, from state `start`
-        (2n,)."""
+        """What the servos make of control points, as `plan` returns them, from state `start` (2n,).
+        They encode no motion, from which they could depart."""
+        self.pool["departed"][...] = np.nan
         if self._gains.sinks:
             self._gain_points = points[:, 2:]
             self.pool["feedback"][...] = self._gains_along().T

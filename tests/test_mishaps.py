@@ -279,7 +279,7 @@ def test_another_host_takes_over_a_resting_machine() -> None:
 
 def test_what_braking_feeds_back_is_burnt() -> None:
     """A bridge of 0.5 mF: its voltage rises to where the chopper works, and no further."""
-    changes = ["duration_s=1.5", "sim.bridge_F=0.0005", "task.frequency_Hz=0.9"]
+    changes = ["duration_s=1.5", "sim.bridge_F=0.0005", "task.frequency_Hz=1"]
     lock = Lockstep(load_config(ROOT / "configs" / "arm2.yaml", changes), ROOT / "configs")
     nodes, highest, burnt = lock.plant.nodes, [0.0, 0.0], [0, 0]
 

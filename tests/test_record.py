@@ -53,7 +53,7 @@ def fussy(config: Config, recorder: Recorder | None = None) -> Lockstep:
 @pytest.fixture(scope="module")
 def lockstep() -> Lockstep:
     """A run with all kinds of rows: lost packets, outliers, ticks that are too late, refusals."""
-    overrides = ["duration_s=1.2", "sim.outlier_share=0.02", "sim.stall_host_at_s=0.6"]
+    overrides = ["duration_s=1.2", "sim.outlier_share=0.02", "sim.stall_host_at_s=0.25"]
     return fussy(load_config(CONFIGS / "arm2.yaml", overrides))
 
 

@@ -279,8 +279,9 @@ def collect(lock: Lockstep, monkeypatch: pytest.MonkeyPatch) -> list[Encoding]:
         torque: Array,
         remotes: list[Remote],
         knot: int,
+        ending: Array,
     ) -> Solution:
-        solution = solve(self, start, disturbance, reference, torque, remotes, knot)
+        solution = solve(self, start, disturbance, reference, torque, remotes, knot, ending)
         if solution.plan is not None:
             points, rolled = solution.plan
             seen.append(Encoding(knot, planned(self.encoder), points, rolled))

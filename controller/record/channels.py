@@ -120,7 +120,10 @@ _ALL = (
         Field("samples", "int", "", "that came in since the last tick"),
         Field("states", "int vector", "", "of the devices, as in received"),
         Field(
-            "encoding_error", "double vector", _EFFORT, "largest |encoded - planned|; NaN: no plan"
+            "encoding_error",
+            "double vector",
+            _EFFORT,
+            "largest |encoded - planned|; NaN: not a whole plan",
         ),
         Field("planned_torque", "double vector", _EFFORT, "largest |planned|; NaN: no plan"),
     ),
